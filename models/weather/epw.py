@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from zenostat.models.weather.header import HEADER_LINES, Header, parse_header
+from zenostat.models.weather.header import HEADER_LINES, Header, has_record, parse_header
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean, list_errors
 
 Floats = NDArray[np.float64]
@@ -193,7 +193,7 @@ def read(path: Path) -> Weather:
     lines = text.split(end)
     header = parse_header(path, [line.encode("latin-1") for line in lines[:HEADER_LINES]])
     last = len(lines)
-    while last > HEADER_LINES and not lines[last - 1].strip():
+    while last > HEADER_LINES and not has_record(lines[last - 1].encode("latin-1")):
         last -= 1
     rows = lines[HEADER_LINES:last]
     table = _parse_rows(rows)

@@ -183,13 +183,18 @@ def _design(cells: list[str]) -> DesignConditions | None:
     return conditions if conditions.plausible else None
 
 
+def has_record(line: bytes) -> bool:
+    """Return whether a line has more than blanks and Ctrl-Z, at which DOS ends a file and which EnergyPlus skips."""
+    return bool(line.replace(b"\x1a", b"").strip())
+
+
 def check_complete(header: Header, path: Path) -> None:
     """Check that a weather file has a complete line for each interval that its header announces.
 
     Raises:
         InvalidConfig: lines are missing, or the last one is cut off; EnergyPlus would end in the middle of an episode.
     """
-    lines = [line for line in path.read_bytes().splitlines()[HEADER_LINES:] if line.strip()]
+    lines = [line for line in path.read_bytes().splitlines()[HEADER_LINES:] if has_record(line)]
     year, length = 2001 + 3 * header.leap, 365 + header.leap
     days = sum((_day(year, last) - _day(year, first)).days % length + 1 for first, last in header.periods)
     expected = days * 24 * header.records_per_hour

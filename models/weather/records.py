@@ -11,11 +11,11 @@ from typing import Any
 
 from zenostat.models.weather.design_days import standard_pressure
 from zenostat.models.weather.epw import COLUMNS
-from zenostat.models.weather.header import HEADER_LINES, Header, read_header
+from zenostat.models.weather.header import HEADER_LINES, Header, has_record, read_header
 from zenostat.topics.cache import cached_bytes, digest
 from zenostat.topics.errors import InvalidConfig
 
-_FORMAT = "3"
+_FORMAT = "4"
 _MAY_BE_BLANK = COLUMNS["precipitable_water"].index
 """Index of the first cell that EnergyPlus takes for a missing value if it is blank."""
 _NOT_READ = COLUMNS["liquid_precipitation_quantity"].index
@@ -68,7 +68,7 @@ def _inspect(header: Header, path: Path) -> dict[str, Any]:
     raw = path.read_bytes()
 
     def make(target: Path) -> None:
-        lines = [line for line in raw.splitlines()[HEADER_LINES:] if line.strip()]
+        lines = [line for line in raw.splitlines()[HEADER_LINES:] if has_record(line)]
         rows = [line.decode("latin-1").split(",") for line in lines]
         missing = Counter[str]()
         for name in KEPT:
@@ -116,7 +116,7 @@ def _order_errors(rows: Sequence[Sequence[str]], rows_per_day: int) -> Iterator[
         except (IndexError, ValueError):
             yield f"line {number}: expected year, month, day and hour, got {','.join(row[:4])[:40]!r}"
             return
-    first = times[0][2] if times else 1
+    first = max(times[0][2], 1) if times else 1  # EnergyPlus ends at an hour 0
     for index, (month, day, hour) in enumerate(times):
         expected = first + index % rows_per_day * 24 // rows_per_day
         if hour != expected:

@@ -176,7 +176,7 @@ def test_epw__file_returns_byte_for_byte_where_nothing_changed(folder: Path, nam
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
-@pytest.mark.parametrize("tail", ["", "x", "x x "])
+@pytest.mark.parametrize("tail", ["", "x", "x x ", "x\x1a"])
 def test_epw__line_ends_and_what_follows_the_last_row_are_kept(folder: Path, end: str, tail: str) -> None:
     # As it came, with one line end after the last row, and with blank lines after it.
     text = end.join(lines_of(DENVER)[:-1]) + tail.replace("x", end)

@@ -18,7 +18,7 @@ from zenostat.models.building.model import Building, for_episode
 from zenostat.models.building.run_needs import assumptions, lacks_design_days, simulation_control
 from zenostat.models.catalog import find_weather
 from zenostat.models.run_period import Period
-from zenostat.models.weather.header import read_header
+from zenostat.models.weather.header import check_complete, read_header
 from zenostat.models.weather.records import check_records, missing_values
 from zenostat.topics.errors import InvalidConfig
 
@@ -135,7 +135,15 @@ def _with_cell(lines: list[str], index: int, text: str) -> None:
     lines[108] = ",".join(cells)
 
 
+def _from_hour_0(lines: list[str]) -> None:
+    """Count the hours of each day from 0 to 23."""
+    for index in range(8, len(lines)):
+        year, month, day, hour, rest = lines[index].split(",", 4)
+        lines[index] = ",".join((year, month, day, str(int(hour) - 1), rest))
+
+
 ORDER = {
+    "hours from 0 to 23": (_from_hour_0, "line 9: the record is for 01-01, hour 0, expected hour 1 of a day"),
     "hours that are missing": (_move_hours, "line 86: the record is for 01-04, hour 10, expected hour 6 of a day"),
     "two hours in another order": (_swap, "line 101: the record is for 01-04, hour 22, expected hour 21 of a day"),
     "a day in two": (
@@ -155,6 +163,13 @@ def test_check_records__names_the_line(case: str, tmp_path: Path) -> None:
     with pytest.raises(InvalidConfig) as caught:
         check_records(read_header(path), path)
     assert str(caught.value).startswith(f"{path}, {words}")
+
+
+def test_check_records__accepts_a_file_that_ends_with_ctrl_z(tmp_path: Path) -> None:
+    path = weather(tmp_path, list)
+    path.write_bytes(path.read_bytes() + b"\x1a")
+    check_records(read_header(path), path)
+    check_complete(read_header(path), path)
 
 
 def test_check_records__accepts_the_wheel_s_files() -> None:
