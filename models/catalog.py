@@ -145,7 +145,7 @@ def _find(text: str, kind: _Kind, bundled: Sequence[Entry]) -> Entry:
     if pack in data_packs.PACKS and "/" not in rest and suffix not in kind.suffixes:
         groups = [[entry for entry in entries if entry.pack == pack] for entries in _packed(kind)]
         return _find_by_name(rest, text, kind, groups, [data_packs.find_pack(pack)])
-    if suffix in kind.suffixes or "/" in text or text.startswith("~"):
+    if suffix in (*kind.suffixes, ".imf", ".json") or "/" in text or text.startswith("~"):
         return _find_by_path(text, kind)
     return _find_by_name(text, text, kind, [bundled, *_packed(kind)], list(data_packs.PACKS.values()))
 
@@ -164,7 +164,9 @@ def _find_by_path(text: str, kind: _Kind) -> Entry:
     if not path.is_file():
         raise UnknownName(f"no {kind.noun} file at {absolute(path)}")
     if path.suffix.lower() not in kind.suffixes:
-        raise UnknownName(f"{path.name} is not a {kind.noun} file: its suffix should be {' or '.join(kind.suffixes)}")
+        has_macros = "; EnergyPlus's EPMacro makes an IDF of it" if path.suffix.lower() == ".imf" else ""
+        suffixes = " or ".join(kind.suffixes)
+        raise UnknownName(f"{path.name} is not a {kind.noun} file: its suffix should be {suffixes}{has_macros}")
     return Entry(path.stem, path.resolve())
 
 

@@ -147,6 +147,16 @@ def test_catalog__home_that_is_not_there_is_unknown() -> None:
         find_building("x" * 3000 + ".idf")
 
 
+@pytest.mark.parametrize(("name", "words"), [("m.imf", "EPMacro makes an IDF of it"), ("m.json", r"\.epjson or \.idf")])
+def test_catalog__bare_name_of_a_file_of_another_kind_is_no_building_name(
+    name: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name).write_text("")
+    with pytest.raises(UnknownName, match=f"{name} is not a building file: its suffix should be .*{words}"):
+        find_building(name)
+
+
 def test_catalog__file_of_another_kind_is_refused_with_the_right_one(tmp_path: Path) -> None:
     path = tmp_path / "house.txt"
     path.write_text("")
