@@ -38,14 +38,6 @@ from zenostat.topics.errors import InvalidConfig
 
 """epJSON: object type, object name, fields."""
 
-_OTHER_PROGRAMS = (
-    "externalinterface",
-    "externalinterface:functionalmockupunitexport",
-    "externalinterface:functionalmockupunitimport",
-    "pythonplugin:instance",
-)
-"""Object types that run another program within the simulation."""
-
 
 @dataclass(frozen=True)
 class Building:
@@ -249,29 +241,13 @@ def _read_epjson(path: Path, raw: bytes) -> dict[str, Any]:
 def check_runnable(building: Building) -> None:
     """Check that EnergyPlus can read a model, and that it runs no other program within the simulation.
 
-    No wheel's EnergyPlus can run Python plug-ins, and an FMU or a co-simulation server would control the simulation's
-    clock alongside the node.
-
     Raises:
         InvalidConfig: lists all errors, with object, field and line.
     """
     file = building.file or building.name
-    diagnostics = cached_diagnostics(building)
-    errors = [each for each in diagnostics if each.severity is Severity.ERROR]
+    errors = [each for each in cached_diagnostics(building) if each.severity is Severity.ERROR]
     if errors:
         raise InvalidConfig(describe(errors, file, verdict()))
-    unsupported = [
-        f"{kind} {name!r}"
-        for kind, objects in building.objects.items()
-        if kind.casefold() in _OTHER_PROGRAMS
-        for name in objects
-    ]
-    if unsupported:
-        raise InvalidConfig(
-            f"{file} has {', '.join(unsupported)}: FMUs and co-simulation are not supported, and this "
-            "EnergyPlus is built without Python plug-ins; remove these objects (in a scenario: `edits`, with null as "
-            "the object), and control the building over the bus instead"
-        )
 
 
 def with_edits(building: Building, edits: Edits) -> Building:

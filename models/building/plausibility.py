@@ -26,8 +26,24 @@ _HOTTEST_HEATING_C = 40.0
 """A heating setpoint that is always above it is none of a room."""
 
 
+_OTHER_PROGRAMS = (
+    "ExternalInterface",
+    "ExternalInterface:Actuator",
+    "ExternalInterface:FunctionalMockupUnitExport",
+    "ExternalInterface:FunctionalMockupUnitImport",
+    "ExternalInterface:Variable",
+    "PythonPlugin:Instance",
+)
+"""Object types that run another program within the simulation.
+
+No wheel's EnergyPlus can run Python plug-ins, and an FMU or a co-simulation server would control the simulation's
+clock alongside the node.
+"""
+
+
 def plausibility_findings(objects: ModelObjects) -> Iterator[RuleFinding]:
     """Yield the findings; EnergyPlus itself ends only at zones without surfaces and at unused equipment lists."""
+    yield from _program_findings(objects)
     yield from _run_findings(objects)
     yield from _zone_findings(objects)
     yield from _setpoint_findings(objects)
@@ -39,6 +55,16 @@ def _number(fields: Mapping[str, Any], name: str, default: float) -> float:
     """Return a field's number; the default if it has none, also where the schema does not allow its value."""
     value = fields.get(name)
     return value if isinstance(value, (int, float)) else default
+
+
+def _program_findings(objects: ModelObjects) -> Iterator[RuleFinding]:
+    for kind in _OTHER_PROGRAMS:
+        for name in objects.get(kind, {}):
+            text = (
+                ": FMUs, co-simulation and Python plug-ins are not supported; remove this object (in a scenario: "
+                "`edits`, with null as the object), and control the building over the bus instead"
+            )
+            yield finding(kind, name, FieldFinding("", text))
 
 
 def _run_findings(objects: ModelObjects) -> Iterator[RuleFinding]:
@@ -70,10 +96,9 @@ def _zone_findings(objects: ModelObjects) -> Iterator[RuleFinding]:
             yield finding(
                 "Zone", name, FieldFinding("", ": no surface belongs to it, such as a BuildingSurface:Detailed")
             )
-    if not objects.get("Zone"):
-        yield RuleFinding(
-            "Zone", "", "", "the model has no Zone object, so there is nothing to simulate", is_fatal=False
-        )
+    if not objects.get("Zone") and not objects.get("PlantLoop"):
+        text = "the model has neither a Zone nor a PlantLoop object, so there is nothing to simulate"
+        yield RuleFinding("Zone", "", "", text, is_fatal=False)
     zones = {name.casefold() for name in objects.get("Zone", {})}
     controlled = zones_of(objects, ("ZoneControl:Thermostat",))
     for name, fields in objects.get("ZoneHVAC:EquipmentConnections", {}).items():

@@ -93,7 +93,7 @@ def test_models__unknown_objects_and_fields_of_an_epjson_are_all_named() -> None
     ids=lambda kind: next(iter(kind)),
 )
 def test_models__model_that_has_other_programs_run_is_refused_by_name(kind: dict[str, Any]) -> None:
-    with pytest.raises(InvalidConfig, match=rf"mine\.epJSON has {next(iter(kind))} 'p': .*not supported"):
+    with pytest.raises(InvalidConfig, match=rf"mine\.epJSON is not .*\n  {next(iter(kind))} 'p': .*not supported"):
         discover(_office_with(kind), bundled_weathers()[0].path)
 
 

@@ -155,6 +155,30 @@ def test_diagnose__sound_model_has_no_finding(change: Callable[[Objects], object
     assert diagnose(model) == []
 
 
+OTHER_PROGRAMS: Objects = {
+    "ExternalInterface": {"E": {"name_of_external_interface": "PtolemyServer"}},
+    "ExternalInterface:Variable": {"V": {"initial_value": 1.0}},
+    "ExternalInterface:FunctionalMockupUnitImport": {"F": {"fmu_file_name": "x.fmu"}},
+    "PythonPlugin:Instance": {"P": {"python_module_name": "mine", "plugin_class_name": "Ruler"}},
+}
+
+
+@pytest.mark.parametrize("kind", OTHER_PROGRAMS)
+def test_diagnose__object_that_runs_another_program_is_an_error_with_its_line(kind: str) -> None:
+    source = parse_idf(write_idf(box_model() | {kind: OTHER_PROGRAMS[kind]}, engine_layout()), engine_layout())
+    (diagnostic,) = diagnose(source.objects, source)
+    (name,) = source.objects[kind]
+    assert (diagnostic.severity, diagnostic.kind, diagnostic.line) == (ERROR, kind, source.line(kind, name, ""))
+    assert "are not supported; remove this object" in diagnostic.text
+
+
+@pytest.mark.parametrize("kind", ["PlantLoop", "Zone", None])
+def test_diagnose__model_with_neither_zone_nor_plant_has_a_warning(kind: str | None) -> None:
+    model: Objects = {"Building": {"b": {}}, "GlobalGeometryRules": {"g": {}}} | ({kind: {"x": {}}} if kind else {})
+    texts = [each.text for each in diagnose(model) if "nothing to simulate" in each.text]
+    assert len(texts) == (kind is None)
+
+
 @pytest.mark.parametrize(
     ("lines", "expected"),
     [
