@@ -36,6 +36,11 @@ from zenostat.topics.errors import list_errors
 REQUIRED = ("Building", "GlobalGeometryRules")
 """Types of which EnergyPlus requires an object."""
 
+_PARAMETRIC = (
+    "is for EnergyPlus's ParametricPreprocessor, and EnergyPlus ends at it; run that program, and use a file that it "
+    "writes"
+)
+
 
 class Severity(StrEnum):
     """Whether EnergyPlus simulates a model nevertheless."""
@@ -109,6 +114,12 @@ def diagnose_format(objects: ModelObjects, source: SourceModel | None = None) ->
         Diagnostic(Severity.ERROR, kind, "", "", f"the model has no {kind} object; EnergyPlus requires one")
         for kind in REQUIRED
         if not objects.get(kind)
+    ]
+    diagnostics += [
+        _located(Diagnostic(Severity.ERROR, kind, name, "", f"{kind} {name!r} {_PARAMETRIC}"), source)
+        for kind, items in objects.items()
+        if kind.casefold().startswith("parametric:")
+        for name in items
     ]
     damaged = {(each.kind, each.name) for each in diagnostics}
     # What follows from a missing comma or semicolon is no error of its own.

@@ -172,6 +172,14 @@ def test_diagnose__object_that_runs_another_program_is_an_error_with_its_line(ki
     assert "are not supported; remove this object" in diagnostic.text
 
 
+def test_diagnose__parametric_object_is_an_error_with_its_line() -> None:
+    text = write_idf(box_model(), engine_layout())
+    source = parse_idf(f"{text}\nParametric:SetValueForRun,\n  $angle, 0, 45;\n", engine_layout())
+    (diagnostic,) = diagnose(source.objects, source)
+    assert diagnostic.line == text.count("\n") + 2
+    assert diagnostic.text.startswith("Parametric:SetValueForRun '$angle' is for EnergyPlus's ParametricPreprocessor")
+
+
 @pytest.mark.parametrize("kind", ["PlantLoop", "Zone", None])
 def test_diagnose__model_with_neither_zone_nor_plant_has_a_warning(kind: str | None) -> None:
     model: Objects = {"Building": {"b": {}}, "GlobalGeometryRules": {"g": {}}} | ({kind: {"x": {}}} if kind else {})
