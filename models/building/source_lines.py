@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
-from zenostat.models.input_format.encoding import decode_idf
+from zenostat.models.input_format.encoding import check_encoding, decode_idf
 from zenostat.models.input_format.epjson_reader import read_epjson
 from zenostat.models.input_format.idf_reader import idf_version, parse_idf
 from zenostat.models.input_format.layout import Layout, engine_layout
@@ -25,6 +25,8 @@ def read_source(path: Path) -> SourceModel:
     """Read an IDF, in the format of its own version, or an epJSON; an unreadable file has no objects."""
     is_idf = path.suffix.lower() == ".idf"
     try:
+        if is_idf:
+            check_encoding(path.read_bytes(), path)
         text = decode_idf(path.read_bytes()) if is_idf else path.read_text(encoding="utf-8")
         if text.startswith(_BOM):  # EnergyPlus takes it for a part of the first word
             return SourceModel()

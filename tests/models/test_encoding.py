@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from zenostat.models.building.source_lines import read_source
 from zenostat.models.input_format.encoding import check_encoding
 from zenostat.topics.errors import InvalidConfig
 
@@ -33,3 +34,9 @@ def test_check_encoding__accepts_utf_8_and_any_byte_in_a_comment(raw: bytes) -> 
 def test_check_encoding__names_what_is_wrong(raw: bytes, text: str) -> None:
     with pytest.raises(InvalidConfig, match=text):
         check_encoding(raw, Path("office.idf"))
+
+
+def test_read_source__macros_of_a_file_are_no_fields(tmp_path: Path) -> None:
+    path = tmp_path / "office.idf"
+    path.write_text("Version,25.2;\n##include zones.imf\nZone,A;\n")
+    assert read_source(path).issues == ()
