@@ -110,3 +110,12 @@ HVAC_METERS = {f"HVAC:{fuel}": tuple(f"{use}:{fuel}" for use in HVAC_END_USES) f
 EnergyPlus's own `Electricity:HVAC` leaves out plant loops (chillers, boilers, cooling towers, their pumps), and
 `NaturalGas:Facility` has kitchens and hot water; these are the rows of its end-use table.
 """
+
+GENERATION_METERS = (
+    "ElectricityProduced:Facility",
+    "ElectricityPurchased:Facility",
+    "ElectricitySurplusSold:Facility",
+    "ElectricityNet:Facility",
+)
+"""What a building with generators produces, buys, sells, and buys less what it sells. EnergyPlus has the first one for
+models with generators alone."""

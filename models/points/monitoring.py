@@ -16,6 +16,7 @@ from zenostat.topics.energyplus_names import (
     COOLING_SETPOINT_VARIABLE,
     END_USES,
     FUELS,
+    GENERATION_METERS,
     HEATING_SETPOINT,
     HEATING_SETPOINT_VARIABLE,
     HVAC_METERS,
@@ -127,9 +128,11 @@ def monitoring_sensors(building: Building, available: PointCatalog) -> dict[str,
 
 
 def monitoring_meters(available: PointCatalog) -> dict[str, str]:
-    """Return by name the default meters, those of the HVAC by fuel, and those of all end uses of the model."""
+    """Return by name the default meters, those of the HVAC by fuel, of all end uses of the model and of generation."""
     names = {meter.name for meter in available.meters}
     uses = [*HVAC_METERS, *(f"{end_use}:{fuel}" for end_use in END_USES for fuel in FUELS)]
+    if GENERATION_METERS[0] in names:
+        uses += GENERATION_METERS
     return default_meters(available) | {_snake_case(name): name for name in uses if name in names}
 
 

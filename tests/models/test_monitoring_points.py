@@ -95,6 +95,17 @@ def test_monitoring_points__fuel_that_the_hvac_does_not_use_has_a_meter_of_zero(
     assert len(parts["HVAC:Electricity"]) == 2
 
 
+@pytest.mark.parametrize("generates", [True, False])
+def test_monitoring_points__generation_and_purchase_are_measured_where_there_are_generators(generates: bool) -> None:
+    names = {"purchased": "Purchased", "surplus_sold": "SurplusSold", "net": "Net"}
+    names |= {"produced": "Produced"} if generates else {}
+    present = (*METERS, *(MeterPoint(f"Electricity{name}:Facility", "J", len(METERS)) for name in names.values()))
+    points = with_monitoring(BUILDING, replace(CATALOG, meters=(*present, *hvac_meters(present))), own())
+    added = {m.name: m.meter for m in points.meters if m.name not in ADDED_METERS}
+    expected = {f"electricity_{own}_facility": f"Electricity{name}:Facility" for own, name in names.items()}
+    assert added == (expected if generates else {})
+
+
 def test_default_meters__hvac_electricity_of_a_model_whose_hvac_uses_none_is_no_default() -> None:
     meters = (MeterPoint("Electricity:Facility", "J", 0), MeterPoint("InteriorLights:Electricity", "J", 1))
     catalog = replace(CATALOG, meters=(*meters, *hvac_meters(meters)))
