@@ -460,7 +460,7 @@ class NodeServer:
             self.injection.remember_commands(self.received)
         if self.injection is not None and previous is not None:
             self.injection.adopt(previous)
-        if self.injection is not None and self.latest_sample:  # the link of the commands that answer this sample
+        if self.injection is not None and self.exchange.state is State.WAITING:  # for commands that answer the sample
             self.injection.link.move(self.exchange.step[0])
         if self.manifest.faults_injected != (self.injection is not None):
             self.describe({"faults_injected": self.injection is not None})

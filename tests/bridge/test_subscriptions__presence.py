@@ -15,7 +15,7 @@ from zenostat.topics import keys
 @pytest.mark.process
 def test_subscriptions__sender_without_a_token_is_disconnected(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(controller_presence, "_TOKEN_S", 0.2)
-    endpoint, disconnected = f"unixsock-stream/{folder}/bus", list[str]()
+    endpoint, disconnected, reconnected = f"unixsock-stream/{folder}/bus", list[str](), list[str]()
     with (
         open_session(listen=[endpoint]) as node,
         open_session(connect=[endpoint]) as client,
@@ -23,7 +23,7 @@ def test_subscriptions__sender_without_a_token_is_disconnected(folder: Path, mon
         Subscriptions(node, "office") as own,
         Timer() as timer,
     ):
-        own.watch_presence(disconnected.append)
+        own.watch_presence(disconnected.append, reconnected.append)
         with client.liveliness().declare_token(keys.CONTROLLER_TOKEN.at("office", sender="late")):
             for name in ("former", "late", "ghost"):  # the token of the first one is older than the node's subscription
                 own.expect_presence(name, timer)
@@ -31,3 +31,4 @@ def test_subscriptions__sender_without_a_token_is_disconnected(folder: Path, mon
             assert disconnected == ["ghost"]
         until(lambda: own.run_pending() or len(disconnected) == 2, "a token ends")
         assert disconnected == ["ghost", "late"]
+        assert sorted(reconnected) == ["former", "late"]
