@@ -136,8 +136,8 @@ class ScenarioArguments(TypedDict, total=False):
         bool | None,
         Doc(
             "Also measure what pictures and reports need, without adding it to the observation: temperature, occupants "
-            "and setpoints of each conditioned zone, outdoor temperature, the energy of each end use, and the electricity "
-            "that a building with generators produces, buys and sells."
+            "and setpoints of each conditioned zone, outdoor temperature, the energy of each end use, and the "
+            "electricity that a building with generators produces, buys and sells."
         ),
     ]
     systems: Annotated[
