@@ -128,6 +128,7 @@ if sys.orig_argv[-2:] == ["-m", "zenostat.eplus_node"]:
 
 _ENGINE = """
 import errno, os, signal, sys
+from zenostat.bridge.engine import system_calls
 from zenostat.eplus_node.engine import timestep_exchange as engine
 from zenostat.eplus_node.engine.__main__ import main
 
@@ -138,7 +139,7 @@ def fault():
     except FileNotFoundError:
         return ""
 
-clone, reopen_files = engine.clone, engine.reopen_files
+clone, reopen_files = system_calls.clone, engine.reopen_files
 
 def faulty_clone():
     what = fault()
@@ -154,7 +155,7 @@ def faulty_reopen_files(folder):
         raise OSError(errno.ENOSPC, "No space left on device")
     reopen_files(folder)
 
-engine.clone, engine.reopen_files = faulty_clone, faulty_reopen_files
+system_calls.clone, engine.reopen_files = faulty_clone, faulty_reopen_files
 main(*map(int, sys.argv[2:]))
 """
 
