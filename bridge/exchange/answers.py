@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 
 from zenostat.bridge.exchange.claims import ClaimHolder
 from zenostat.topics.messages import ControllerState
@@ -18,7 +19,7 @@ class Answers:
 
     Attributes:
         pending: the required controllers for which the next timestep waits.
-        controllers: the controllers that have answered.
+        controllers: the controllers that have answered, and the slots to which those that are required did.
         slots: the slots that required controllers have answered.
         head: the first bytes of a command on the fast path (empty: each command is decoded).
         opened_s: wall time from which response times count.
@@ -28,7 +29,7 @@ class Answers:
     """
 
     pending: set[str] = field(default_factory=set)
-    controllers: set[str] = field(default_factory=set)
+    controllers: dict[str, Iterable[int]] = field(default_factory=dict)
     slots: set[int] = field(default_factory=set)
     head: bytes = b""
     opened_s: float = 0.0
@@ -47,7 +48,7 @@ class Answers:
         self.opened_s, self.deadline_passed_s = now_s, None
         if self.message_counts:
             self.message_counts = {}
-        self.controllers = set()
+        self.controllers = {}
         self.slots = set()
         self.head = head
 
@@ -60,12 +61,13 @@ class Answers:
         opened_s, connected_s = self.opened_s, claimant.connected_at_s
         stats.response.add(now_s - (opened_s if opened_s > connected_s else connected_s))
         self.pending.discard(name)
-        self.controllers.add(name)
+        self.controllers[name] = slots if claimant.required else ()
 
     def forget(self, controller: str) -> None:
         """Forget a controller's answer, and do not wait for one."""
         self.pending.discard(controller)
-        self.controllers.discard(controller)
+        if self.controllers.pop(controller, None) is not None:
+            self.slots = set(chain.from_iterable(self.controllers.values()))
 
     def pass_deadline(self, now_s: float) -> None:
         """Record that the deadline has passed; from now on each command is decoded."""

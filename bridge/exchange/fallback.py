@@ -73,7 +73,7 @@ class FallbackRules:
         claimant.transition(ControllerTrigger.BYPASS)
         answers.needs_fallback = answers.needs_fallback or claimant.required
         if exchange.policy is Policy.RELINQUISH:
-            answers.controllers.discard(name)  # its answer to the current sample is relinquished as well
+            answers.controllers.pop(name, None)  # its answer to the current sample is relinquished as well
         if exchange.deadline_s is None or any(c.state is not _BYPASSED for c in exchange.claims.required):
             answers.pending.discard(name)
         event = self._fall_back(claimant, DISCONNECTED)

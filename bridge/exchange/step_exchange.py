@@ -146,7 +146,7 @@ class StepExchange(ExchangeState):
         copy.commanded, copy.source_index = self.commanded, self.source_index
         copy.modified, copy.done, copy.fallback_active = [*self.modified], [*self.done], self.fallback_active
         copy.answers.needs_fallback = self.answers.needs_fallback
-        copy.answers.controllers = {*self.answers.controllers}
+        copy.answers.controllers = {**self.answers.controllers}
         copy._heads = self._heads
         return copy
 

@@ -72,7 +72,8 @@ class TrialExchange:
         if holder.name in exchange.claims.by_name:
             holder.transition(ControllerTrigger.ANSWER)
         answers = exchange.answers
-        answers.controllers |= {c.name for c in exchange.claims.required if c.state is not _BYPASSED} | {holder.name}
+        answers.controllers |= {c.name: () for c in exchange.claims.required if c.state is not _BYPASSED}
+        answers.controllers[holder.name] = ()
         answers.slots = set(exchange.all_slots)
         if exchange.commands.has_expiries:
             exchange.intake.expire(exchange.commands.timesteps * step_s)

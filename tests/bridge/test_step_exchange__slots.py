@@ -109,6 +109,21 @@ def test_step_exchange__slots_that_any_required_controller_answers_move() -> Non
     assert at.step == [1, 1, 0]
 
 
+def test_step_exchange__slot_stays_if_the_claim_is_renewed_by_whom_alone_it_was_answered() -> None:
+    at = exchange(slots=2)
+    claim(at, "agent", 10)
+    claim(at, "guard", 5)
+    assert answers(at, "agent", {0: (21.0, 26.0)}) is None
+    claim(at, "agent", 10)
+    for name in ("agent", "guard"):
+        assert answers(at, name, {1: (22.0, 27.0)}) is None
+    assert go(at)[0] == [1]
+    assert answer(at, "guard", [20.0, 25.0] * 2) is None
+    claim(at, "agent", 10)
+    assert answers(at, "agent", {1: (22.0, 27.0)}) is None
+    assert go(at)[0] == [0, 1], "the other one's answer is as it was"
+
+
 @pytest.mark.parametrize("wrong", [(1, 0), (0, 1)], ids=["a later step", "a later episode"])
 def test_step_exchange__only_the_slots_that_are_answered_are_compared_with_the_present(wrong: tuple[int, int]) -> None:
     at = three()
