@@ -12,7 +12,7 @@ import subprocess
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from zenostat.models import energyplus, schema
 from zenostat.models.building.template_references import templates_of
@@ -27,6 +27,9 @@ from zenostat.topics.errors import InvalidConfig, ModelError, list_errors
 from zenostat.topics.plurals import counted
 
 _FORMAT = "2"
+_MAX_NAME = 100
+"""Length at which ExpandObjects cuts names."""
+
 _TIMEOUT_S = 60.0
 _NOT_PASSED = ("energymanagementsystem:", "output", "meter:", "pythonplugin:")
 """Prefixes of types that ExpandObjects does not use; their texts may contain what an IDF cannot."""
@@ -54,7 +57,12 @@ def expand(objects: dict[str, ObjectsOfType], *, file: str) -> tuple[dict[str, O
         _reject(file, errors)
     passed = {kind: items for kind, items in objects.items() if not kind.casefold().startswith(_NOT_PASSED)}
     passed |= {kind: _with_words(kind, items) for kind, items in templates.items()}
-    text = write_idf(passed, engine_layout(), all_fields=True)
+    if long := [f"{kind} {name!r}" for kind, items in passed.items() for name in items if len(name) > _MAX_NAME]:
+        _reject(file, [f"{name} has {_MAX_NAME + 1} or more characters; use shorter names" for name in long])
+    try:
+        text = write_idf(passed, engine_layout(), all_fields=True)
+    except InvalidConfig as error:
+        _reject(file, [f"ExpandObjects reads IDFs alone: {error}"])
     name = f"models/{digest(text, energyplus.version())}-expanded-{_FORMAT}.idf"
     result_text = decode_idf(cached_bytes(name, lambda target: _run(text, target, file)))
     expanded = read_idf(result_text, engine_layout(), name=f"{file}, with its templates expanded,")
@@ -84,7 +92,7 @@ def _with_words(kind: str, items: Mapping[str, Mapping[str, Any]]) -> dict[str, 
     return {name: words | dict(fields) for name, fields in items.items()}
 
 
-def _reject(file: str, errors: list[str]) -> None:
+def _reject(file: str, errors: list[str]) -> NoReturn:
     raise InvalidConfig(list_errors(f"{file}: its HVACTemplate objects cannot be expanded:", errors))
 
 

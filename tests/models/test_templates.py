@@ -197,6 +197,24 @@ def test_templates__names_keep_their_characters() -> None:
     assert {each["zone_name"] for each in expanded["ZoneHVAC:EquipmentConnections"].values()} == {*names.values()}
 
 
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("Zone, one", "zone_name is 'Zone, one', which an IDF cannot have: it contains a separator of fields"),
+        ("x" * 101, f"Zone '{'x' * 101}' has 101 or more characters; use shorter names"),
+    ],
+    ids=["comma", "long"],
+)
+def test_templates__name_that_expand_objects_cannot_read_is_refused_with_the_file(name: str, reason: str) -> None:
+    """An epJSON without templates may have such names: EnergyPlus simulates it."""
+    model = THERMOSTAT | zone_templates("IdealLoadsAirSystem") | {"Zone": {zone: {} for zone in ZONES}}
+    objects = json.loads(json.dumps(model).replace("Core_ZN", name))
+    with pytest.raises(InvalidConfig) as raised:
+        templates.expand(objects, file="office.epJSON")
+    assert str(raised.value).startswith("office.epJSON: its HVACTemplate objects cannot be expanded:")
+    assert reason in str(raised.value)
+
+
 def test_templates__model_without_templates_is_the_same_object() -> None:
     objects = envelope()
     assert templates.expand(objects, file="office.idf") == (objects, ())
