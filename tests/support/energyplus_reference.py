@@ -146,7 +146,11 @@ class Alone:
             columns = {identity: column for column, identity in enumerate(dict.fromkeys(ids.values()))}
             table = _table(file, columns, (self.steps, self.steps_per_hour), len(columns))
         points = np.stack(
-            [reduce(np.add, [table[:, columns[i]] for i in wanted]) for wanted in self._wanted(ids)], axis=1
+            [
+                reduce(np.add, [table[:, columns[i]] for i in wanted]) if wanted else np.zeros(len(table))
+                for wanted in self._wanted(ids)
+            ],
+            axis=1,
         )
         assert not np.isnan(points).any(), "the ESO file has no value for some point at some timestep"
         return points
