@@ -379,7 +379,8 @@ def test_resume__rejected_messages_beyond_those_with_published_events_have_no_ef
                 "all are rejected",
             )
             assert statistics.rate_limited == 32, "31 of the stranger and the long name, 1 of the filler"
-            link.send(np.array([12.0]))  # on the fast path, which has no limit
+            right = masked.model_copy(update={"values": np.array([12.0]).tobytes()})  # the step waits for it
+            bus.session.put(keys.COMMAND.at("tank", sender=link.name), codec.encode(right))
             until(lambda: (0, 4) in samples(path), "the recorder has written step 4")
         node.kill()
     with node_on_bus(scratch / "second", **tank, resume=str(path)) as (_, bus):
