@@ -1,4 +1,4 @@
-"""Which controllers have a liveliness token, and what happens once one has none."""
+"""The liveliness tokens of controllers, and what follows when one appears or is lost."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ class WaitingQueue:
     """The messages or requests of one topic that wait.
 
     Each task that is appended has a turn in the server's thread, in which the first one of the queue runs. If one has
-    run or given way before its turn, a later one has that.
+    run or given way before its turn, a later one uses that turn.
 
     Args:
         topic: of the messages or requests.
