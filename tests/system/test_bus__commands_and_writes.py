@@ -3,6 +3,7 @@
 import queue
 import signal
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import msgpack
@@ -257,19 +258,26 @@ def test_bus__command_is_answered_as_its_event_states(client: Client) -> None:
     assert (status.late, status.duplicate) == (4, 4)
 
 
-@pytest.mark.slow
-def test_bus__command_is_answered_at_once_and_not_after_its_timestep(client: Client, node: NodeProgram) -> None:
-    """the engine stands still → the command is acknowledged → it goes on → the sample"""
+@contextmanager
+def computing(client: Client, node: NodeProgram) -> Iterator[None]:
+    """A timestep that a command of `c` has begun; its engine stands still within the context."""
     client.claim("c")
     node.engine.send_signal(signal.SIGSTOP)
     try:
         assert isinstance(client.ask(keys.COMMAND_REQUEST, "c", client.command()), Ack)
         until(lambda: client.bus.status("office").state is State.RUNNING, "the node computes")
+        yield
+    finally:
+        node.engine.send_signal(signal.SIGCONT)
+
+
+@pytest.mark.slow
+def test_bus__command_is_answered_at_once_and_not_after_its_timestep(client: Client, node: NodeProgram) -> None:
+    """the engine stands still → the command is acknowledged → it goes on → the sample"""
+    with computing(client, node):
         asked = [client.start(keys.WRITE_REQUEST, POINT, b"\x80") for _ in range(MAX_PENDING + 3)]
         late = client.start(keys.COMMAND_REQUEST, "c", client.command())
         busy = [client.reply(replies) for replies in asked[MAX_PENDING:]]
-    finally:
-        node.engine.send_signal(signal.SIGCONT)
     assert [(reply.error, "pending requests" in reply.message) for reply in busy] == [("RequestRejected", True)] * 3
     assert [client.reply(replies).error for replies in asked[:MAX_PENDING]] == ["BadMessage"] * MAX_PENDING
     assert client.reply(late).message.startswith("it answers episode [1] step [0]; the current ones are")
@@ -280,16 +288,10 @@ def test_bus__command_is_answered_at_once_and_not_after_its_timestep(client: Cli
 
 @pytest.mark.slow
 def test_bus__write_that_gives_way_to_a_newer_one_is_counted_once(client: Client, node: NodeProgram) -> None:
-    client.claim("c")
-    node.engine.send_signal(signal.SIGSTOP)
-    try:
-        assert isinstance(client.ask(keys.COMMAND_REQUEST, "c", client.command()), Ack)
-        until(lambda: client.bus.status("office").state is State.RUNNING, "the node computes")
+    with computing(client, node):
         for _ in range(MAX_PENDING + 3):
             client.put(keys.ACTUATOR, POINT, b"\x80")
         until(lambda: client.bus.status("office").statistics.rate_limited == 3, "all have arrived")
-    finally:
-        node.engine.send_signal(signal.SIGCONT)
     client.next_sample()
     reply = client.ask(keys.WRITE_REQUEST, POINT, msgpack.packb({"value": 26.0, "priority": 4}))
     assert isinstance(reply, Ack), "all that waited were handled before"
