@@ -101,9 +101,14 @@ def change(client: Any, operation: str, **content: Any) -> Any:
     return client.post(f"/api/nodes/tank/{operation}", json=content)
 
 
-def test_room__write_is_streamed_with_its_source_and_its_end(client: Any) -> None:
-    assert change(client, "reset").status_code == 200  # other tests may have left commands and steps
+@pytest.fixture(autouse=True)
+def new_episode(client: Any) -> None:
+    """Begin each test at a first sample, without the values, claims and timesteps of other tests."""
+    assert change(client, "reset").status_code == 200
     following(client, lambda state: state.get("sample_step") == 0 and state["values"] == [0.0, 5.0])
+
+
+def test_room__write_is_streamed_with_its_source_and_its_end(client: Any) -> None:
     assert change(client, "write", point="pump", value=20, duration_s=120).status_code == 200
     array = client.get("/api/nodes/tank/priorities", params={"point": "pump"}).json()["entries"]
     assert array[7] == {"value": 20.0, "source": "ada", "expires": "2026-01-12T00:02:00"}
