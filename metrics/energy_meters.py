@@ -17,6 +17,13 @@ FUELS = {
 }  # fmt: skip
 """Energy carriers, with their names in EnergyPlus's meters."""
 
+GENERATION = {
+    "electricity_produced": "ElectricityProduced",
+    "electricity_purchased": "ElectricityPurchased",
+    "electricity_sold": "ElectricitySurplusSold",
+}
+"""What a building with generators produces, buys and sells, with EnergyPlus's names of the meters."""
+
 _METERS = {
     plain: meter
     for fuel, name in FUELS.items()
@@ -26,7 +33,11 @@ _METERS = {
         text.replace(":", "_").casefold(),
         re.sub(r"(?<=[a-z])(?=[A-Z0-9])", "_", text.replace(":", "_")).lower(),
     )
-} | FUELS
+} | FUELS | {
+    plain: f"{meter}:Facility"
+    for name, meter in GENERATION.items()
+    for plain in (name, f"{name}_facility", f"{meter}_facility".casefold())
+}  # fmt: skip
 """EnergyPlus's meters by the names that their points have by default, and its fuels by those of `FUELS`."""
 
 WITHOUT_PLANT = "without chillers, boilers, cooling towers and their pumps"
@@ -89,6 +100,13 @@ def hvac_sources(manifest: Manifest) -> dict[str, EnergySource]:
         rate = _rate_source(manifest, index)
         sources.setdefault("electricity", replace(rate, source=f"{rate.source}, {WITH_PLANT}"))
     return {fuel: sources[fuel] for fuel in FUELS if fuel in sources}
+
+
+def generation_sources(manifest: Manifest) -> dict[str, EnergySource]:
+    """Return the sources of what a building with generators produces, buys and sells, where the node measures it."""
+    meters = _meters(manifest)
+    found = {name: meters.get(f"{meter}:Facility".casefold()) for name, meter in GENERATION.items()}
+    return {name: source for name, source in found.items() if source is not None}
 
 
 def meter_name(meter: Meter) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from zenostat.agent_sdk.rewards import Reward
 from zenostat.bridge.client.sample import SampleView
-from zenostat.metrics.energy_meters import facility_sources, hvac_sources
+from zenostat.metrics.energy_meters import GENERATION, facility_sources, generation_sources, hvac_sources
 from zenostat.metrics.fuel_rates import Rate, read_emissions, read_prices
 from zenostat.metrics.kpis import KPIS, KpiAccumulator
 from zenostat.metrics.reward_comfort import comfort
@@ -44,6 +44,9 @@ class EpisodeMetrics:
         site_kwh_m2: energy of all fuels of the building per m² of floor area.
         unmet_heating_h, unmet_cooling_h: hours in which an occupied zone misses its setpoint; see `unmet_hours`.
         lost: number of samples that were not received, whose timesteps are in no total.
+        generation_kwh: electricity that a building with generators produces, buys and sells (the keys of `GENERATION`),
+            as far as it is measured.
+        peak_purchased_kw: maximum of the mean power in a timestep that the building buys from the grid.
     """
 
     steps: int
@@ -65,6 +68,8 @@ class EpisodeMetrics:
     unmet_heating_h: float | None = None
     unmet_cooling_h: float | None = None
     lost: int = 0
+    generation_kwh: dict[str, float] = field(default_factory=dict)
+    peak_purchased_kw: float | None = None
 
     @property
     def hvac_electricity_kwh(self) -> float | None:
@@ -77,6 +82,9 @@ class EpisodeMetrics:
         rewards = {"reward": self.reward} | {f"reward.{name}": value for name, value in self.terms.items()}
         means = {f"mean_{name}": None if value is None else value / steps for name, value in rewards.items()}
         energy = {"electricity_kwh": None} | {f"{fuel}_kwh": value for fuel, value in self.energy_kwh.items()}
+        generation = {f"{name}_kwh": value for name, value in self.generation_kwh.items()}
+        if self.peak_purchased_kw is not None:
+            generation["peak_purchased_kw"] = self.peak_purchased_kw
         return {
             **rewards,
             **means,
@@ -86,6 +94,7 @@ class EpisodeMetrics:
             "site_kwh_m2": self.site_kwh_m2,
             "mean_power_w": self.mean_power_w,
             "peak_kw": self.peak_kw,
+            **generation,
             "mean_deviation_k": self.mean_deviation_k,
             "outside_percent": self.outside_percent,
             "outside_kh": self.outside_kh,
@@ -101,6 +110,7 @@ class EpisodeMetrics:
 
 
 _HVAC = "hvac_"
+_PURCHASED = "electricity_purchased"
 
 
 class MetricsAccumulator:
@@ -131,15 +141,19 @@ class MetricsAccumulator:
         self._step = timedelta(hours=self._step_h)
         meters = facility_sources(manifest)
         meters |= {f"{_HVAC}{fuel}": source for fuel, source in hvac_sources(manifest).items()}
+        meters |= generation_sources(manifest)
         self._names = tuple(meters)
         self._indices = np.array([meter.index for meter in meters.values()], np.intp)
         self._to_kwh = np.array([meter.to_kwh for meter in meters.values()])
         electric = [name for name in ("electricity", f"{_HVAC}electricity") if name in meters]
         self._electric = self._names.index(electric[0]) if electric else None
+        self._purchased = self._names.index(_PURCHASED) if _PURCHASED in meters else None
         self._comfort = comfort(manifest, reward)
         self.sources = {f"{name}_kwh": meter.source for name, meter in meters.items()}
         if electric:
             self.sources |= dict.fromkeys(("mean_power_w", "peak_kw"), meters[electric[0]].source)
+        if _PURCHASED in meters:
+            self.sources["peak_purchased_kw"] = meters[_PURCHASED].source
         if self._comfort is not None:
             self.sources["mean_deviation_k"] = self._comfort.source
         self._unmet, self._area_m2 = UnmetHours(manifest), manifest.floor_area_m2
@@ -152,6 +166,7 @@ class MetricsAccumulator:
     def _reset(self) -> None:
         self._kwh = np.zeros(len(self._names))
         self._terms: dict[str, float] | None = None
+        self._peak_purchased_kwh = -np.inf
         self._peak_kwh, self._outside_k, self._occupied_k, self._steps_outside = -np.inf, 0.0, 0.0, 0.0
         self._steps = self._lost = 0
         self._unmet.reset()
@@ -193,6 +208,8 @@ class MetricsAccumulator:
         self._kwh += kwh
         if self._electric is not None:
             self._peak_kwh = float(np.maximum(self._peak_kwh, kwh[self._electric]))  # NaN stays
+        if self._purchased is not None:
+            self._peak_purchased_kwh = float(np.maximum(self._peak_purchased_kwh, kwh[self._purchased]))
         if self._comfort is not None:
             outside = self._comfort.outside(values, begin)
             total_k = float(outside.sum())
@@ -210,7 +227,8 @@ class MetricsAccumulator:
     def result(self, *, terminated: bool = False) -> EpisodeMetrics:
         """Return the totals so far; without any timestep, energy, power and comfort are None."""
         kwh = dict(zip(self._names, self._kwh.tolist(), strict=True)) if self._steps else {}
-        building = {name: value for name, value in kwh.items() if not name.startswith(_HVAC)}
+        generation = {name: value for name, value in kwh.items() if name in GENERATION}
+        building = {name: kwh[name] for name in kwh if not name.startswith(_HVAC) and name not in GENERATION}
         electric = self._electric if self._steps else None
         comfort = self._comfort if self._steps else None
         mean_kwh = None if electric is None else float(self._kwh[electric]) / self._steps
@@ -234,4 +252,6 @@ class MetricsAccumulator:
             unmet_heating_h=self._unmet.heating_h if self._steps else None,
             unmet_cooling_h=self._unmet.cooling_h if self._steps else None,
             lost=self._lost,
+            generation_kwh=generation,
+            peak_purchased_kw=self._peak_purchased_kwh / self._step_h if _PURCHASED in generation else None,
         )

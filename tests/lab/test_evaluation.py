@@ -105,10 +105,29 @@ def test_evaluation__episode_by_hand() -> None:
         "natural_gas_kwh": "meter NaturalGas:Facility",
         "district_heating_water_kwh": "meter DistrictHeatingWater:Facility",
         "hvac_electricity_kwh": "meter HVAC:Electricity",
+        "electricity_produced_kwh": "meter ElectricityProduced:Facility",
         "mean_power_w": "meter Electricity:Facility",
         "peak_kw": "meter Electricity:Facility",
         "mean_deviation_k": "2 zones, the band of the linear reward",
     }
+
+
+def test_evaluation__generation_is_no_energy_that_the_building_uses() -> None:
+    """4 kWh are used and 5 produced, of which 2 are sold: 1 is bought."""
+    meters = [
+        meter("electricity"),
+        meter("produced", "ElectricityProduced:Facility"),
+        meter("bought", "ElectricityPurchased:Facility"),
+        meter("electricity_sold", ""),
+    ]
+    of = manifest(sensors=[], meters=meters).model_copy(update={"floor_area_m2": 10.0})
+    result = tallied(of, [3.0 * KWH, 2.0 * KWH, 1.0 * KWH, 0.0], [1.0 * KWH, 3.0 * KWH, 0.0, 2.0 * KWH])
+    generation = {"electricity_produced": 5.0, "electricity_purchased": 1.0, "electricity_sold": 2.0}
+    assert result.generation_kwh == pytest.approx(generation)
+    assert result.energy_kwh == pytest.approx({"electricity": 4.0})
+    assert (result.site_kwh_m2, result.peak_kw) == (pytest.approx(0.4), pytest.approx(12.0))
+    assert result.peak_purchased_kw == pytest.approx(4.0)  # 1 kWh in a quarter of an hour
+    assert result.metrics()["electricity_sold_kwh"] == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize("aggregation", [Aggregation.INSTANT, Aggregation.MEAN])

@@ -50,7 +50,11 @@ class Difference:
 
 _COMMON = (
     Metric("site_kwh_m2", "Site energy per floor area", "kWh/m²"),
+    Metric("electricity_produced_kwh", "Electricity produced", "kWh", 1),
+    Metric("electricity_purchased_kwh", "Electricity purchased", "kWh"),
+    Metric("electricity_sold_kwh", "Electricity sold", "kWh", 0),
     Metric("peak_kw", "Peak power", "kW"),
+    Metric("peak_purchased_kw", "Peak of purchased power", "kW"),
     Metric("unmet_heating_h", "Heating setpoint unmet, occupied", "h"),
     Metric("unmet_cooling_h", "Cooling setpoint unmet, occupied", "h"),
     Metric("occupied_outside_kh", "Outside comfort, occupied", KELVIN_HOURS),
