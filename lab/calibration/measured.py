@@ -27,6 +27,8 @@ _DAY = timedelta(days=1)
 _INTERVALS = {"1h": _HOUR, "1d": _DAY} | {f"{n}min": timedelta(minutes=n) for n in (5, 10, 15, 20, 30)}
 _LONG = timedelta(days=27)
 """Rows of this length are those of bills, which are compared by the monthly criteria."""
+_GAP = 1.6
+"""A row that is longer by this factor than most, without `interval: between`, is taken for one that lacks another."""
 _MAX_TEMPERATURE_C, _MIN_TEMPERATURE_C = 60.0, -60.0
 """Plausible temperatures of a building and its surroundings; what is outside has another unit."""
 
@@ -77,9 +79,7 @@ class MeasuredColumn:
     @property
     def tolerance(self) -> float:
         """Tolerance of a temperature in the column's unit."""
-        scale = conversion("K", "delta_degF") if self.unit == "degF" else (1.0, 0.0)
-        assert scale is not None
-        return self.settings.tolerance * scale[0]
+        return self.settings.tolerance * (1.8 if self.unit == "degF" else 1.0)
 
     def of_hours(self, hours: Floats) -> float:
         """Return the value of the column for an interval with these simulated hours, shape (hours,)."""
@@ -149,10 +149,8 @@ def read_measured(
     for heading, target in zip(headings, targets, strict=True):
         values = _values(path, rows[1:], header.index(heading.header), heading)
         columns.append(_column(path, heading, target, values, lines))
-    if interval is None:  # the first or last stamp only begins or ends a row
-        kept = slice(1, None) if config.timestamps == "end" else slice(None, -1)
-        lines = lines[kept]
-        columns = [replace(column, values=column.values[kept]) for column in columns]
+    if interval is None:
+        lines, columns = _between(path, config, lines, stamps, columns)
     if interval is not None and interval < _HOUR:
         lines, begins, ends, columns = _to_hours(lines, begins, columns, interval)
     is_monthly = bool(begins) and float(np.median([(e - b) / _LONG for b, e in zip(begins, ends, strict=True)])) >= 1.0
@@ -392,6 +390,48 @@ def _to_hours(
         table = column.values[np.array(list(whole.values()), dtype=int).reshape(-1, parts)]
         joined.append(replace(column, values=table.sum(axis=1) if column.is_total else table.mean(axis=1)))
     return [lines[rows[0]] for rows in whole.values()], list(whole), [begin + _HOUR for begin in whole], joined
+
+
+def _between(
+    path: Path,
+    config: Calibration,
+    lines: Sequence[int],
+    stamps: Sequence[datetime],
+    columns: Sequence[MeasuredColumn],
+) -> tuple[list[int], list[MeasuredColumn]]:
+    """Return rows that last to the next stamp, or since the one before: the last or first stamp is none of its own.
+
+    Unless they are to be left out: a value without an interval is an error if it concerns a period, and so is a row
+    that is much longer than most, since another one seems to be missing within it.
+    """
+    is_end = config.timestamps == "end"
+    alone, kept = (0, slice(1, None)) if is_end else (len(stamps) - 1, slice(None, -1))
+    rows = list(lines[kept])
+    if config.missing != "leave_out":
+        periods = [bounds(days) for days in (*config.periods, *config.held_out)]
+        stamp = stamps[alone]
+        is_inside = any(begin < stamp <= end if is_end else begin <= stamp < end for begin, end in periods)
+        with_value = next((each for each in columns if not math.isnan(each.values[alone])), None)
+        if is_inside and with_value is not None:
+            lacks, where, last = ("beginning", "before", "after") if is_end else ("end", "after", "before")
+            raise InvalidConfig(
+                f"{path}, line {lines[alone]}, column {with_value.header!r}: the value of {stamp} has no {lacks}, "
+                f"since no stamp is {where} it; add a row with that time and empty cells, choose periods that lie "
+                f"{last} {stamp:%Y-%m-%d}, or set missing: leave_out"
+            )
+    values = [column.values[kept].copy() for column in columns]
+    lengths = np.array([(after - before) / _DAY for before, after in pairwise(stamps)])
+    usual = float(np.median(lengths))
+    for row in np.flatnonzero(lengths > _GAP * usual).tolist() if config.interval is None else ():
+        if config.missing != "leave_out":
+            raise InvalidConfig(
+                f"{path}, line {rows[row]}: its row lasts from {stamps[row]} to {stamps[row + 1]}, {lengths[row]:g} "
+                f"days, and most rows {usual:g} days: another seems to be missing; add it, with empty cells if it is "
+                "unknown, set interval: between if the row does last that long, or missing: leave_out"
+            )
+        for column in values:
+            column[row] = np.nan
+    return rows, [replace(column, values=each) for column, each in zip(columns, values, strict=True)]
 
 
 def _check_period(

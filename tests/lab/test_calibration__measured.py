@@ -66,6 +66,15 @@ def test_measured_column__converts_simulated_hours(
     assert data.columns[0].of_hours(np.array([hour])) == pytest.approx(value)
 
 
+@pytest.mark.parametrize(("unit", "value", "tolerance"), [("degC", "20", 0.5), ("degF", "68", 0.9)])
+def test_measured_column__has_the_tolerance_of_a_temperature_in_its_unit(
+    file: Path, unit: str, value: str, tolerance: float
+) -> None:
+    columns = {f"room [{unit}]": {"variable": "Zone Mean Air Temperature", "key": "room", "tolerance": 0.5}}
+    data = read(file, [f"time,room [{unit}]", *rows(HOURS, value)], ROOM, columns=columns)
+    assert data.columns[0].tolerance == pytest.approx(tolerance)
+
+
 def test_read_measured__adds_or_averages_parts_of_hours(file: Path) -> None:
     times = [f"2017-03-12 {hour:02}:{minute:02}" for hour in range(24) for minute in (0, 15, 30, 45)]
     lines = [f"{time},{number % 4},{10 + number % 4}" for number, time in enumerate(times)]
@@ -87,6 +96,35 @@ def test_read_measured__rows_between_stamps_are_bills_with_monthly_limits(file: 
     ended = read(file, lines, METER, periods=periods, timestamps="end")
     assert ended.columns[0].values.tolist() == [1.0, 2.0, 3.0]
     assert ended.columns[0].of_hours(np.full(24 * 31, 3.6e6)) == pytest.approx(744.0)
+
+
+@pytest.mark.parametrize("timestamps", ["begin", "end"])
+def test_read_measured__missing_bill_is_an_error_or_left_out(file: Path, timestamps: str) -> None:
+    """Without 1 March, the bill of February would be compared with February and March."""
+    stamps = [f"2017-{month:02}-01" for month in (1, 2, 4, 5, 6)]
+    lines = ["date,meter [kWh]", *(f"{stamp},7" for stamp in stamps)]
+    settings: dict[str, Any] = {"periods": [["2017-01-01", "2017-05-31"]], "timestamps": timestamps}
+    with pytest.raises(
+        InvalidConfig, match=rf"line {3 if timestamps == 'begin' else 4}: its row lasts .* 59 days, .* 31 d"
+    ):
+        read(file, lines, METER, **settings)
+    data = read(file, lines, METER, missing="leave_out", **settings)
+    assert np.isnan(data.columns[0].values).tolist() == [False, True, False, False]
+    explicit = read(file, lines, METER, interval="between", **settings)
+    assert not np.isnan(explicit.columns[0].values).any()
+
+
+@pytest.mark.parametrize(("timestamps", "lacks"), [("begin", "line 13.* has no end"), ("end", "line 2.* beginning")])
+def test_read_measured__bill_without_an_end_or_a_beginning_is_an_error(file: Path, timestamps: str, lacks: str) -> None:
+    year, first = 2017, 1 if timestamps == "begin" else 2
+    stamps = [datetime(year + (month - 1) // 12, (month - 1) % 12 + 1, 1) for month in range(first, first + 12)]
+    lines = ["date,meter [kWh]", *(f"{stamp},7" for stamp in stamps)]
+    settings: dict[str, Any] = {"periods": [["2017-01-01", "2017-12-31"]], "timestamps": timestamps}
+    with pytest.raises(InvalidConfig, match=lacks):
+        read(file, lines, METER, **settings)
+    closing = [*lines, "2018-01-01,"] if timestamps == "begin" else [lines[0], "2017-01-01,", *lines[1:]]
+    assert len(read(file, closing, METER, **settings).lines) == 12
+    assert len(read(file, lines, METER, missing="leave_out", **settings).lines) == 11
 
 
 # Time
