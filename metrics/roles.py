@@ -6,6 +6,7 @@ setpoint schedules, are recognized by the words of their names.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
@@ -195,21 +196,18 @@ def _zones(manifest: Manifest) -> list[ZoneRoles]:
     by_key = {names.get(key.casefold(), key): points for key, points in by_key.items()}
     by_key = dict(sorted(by_key.items(), key=lambda entry: places.get(entry[0].casefold(), len(places))))
     labels = dict(zip(by_key, zone_labels(by_key), strict=True))
-    zones = []
-    for key, points in by_key.items():
-        heating = _setpoint_actuator(manifest, key, "heating")
-        cooling = _setpoint_actuator(manifest, key, "cooling")
-        zones.append(
-            ZoneRoles(
-                key=key,
-                label=labels[key],
-                place=places.get(key.casefold(), len(places)),
-                **points,
-                heating_actuator=heating,
-                cooling_actuator=cooling,
-            )
+    heating, cooling = (_SetpointActuators(manifest, kind) for kind in ("heating", "cooling"))
+    return [
+        ZoneRoles(
+            key=key,
+            label=labels[key],
+            place=places.get(key.casefold(), len(places)),
+            **points,
+            heating_actuator=heating.of_zone(key),
+            cooling_actuator=cooling.of_zone(key),
         )
-    return zones
+        for key, points in by_key.items()
+    ]
 
 
 _VARIABLES = {
@@ -274,23 +272,45 @@ def _is_setpoint(actuator: Actuator) -> bool:
     return len(name) > 1 and name[-1] in _SETPOINT_WORDS
 
 
-def _setpoint_actuator(manifest: Manifest, zone: str, kind: str) -> int | None:
-    """Return the actuator of a zone's setpoint: its thermostat's, else one that the words of a name assign to it."""
-    control = (HEATING_SETPOINT if kind == "heating" else COOLING_SETPOINT).casefold()
-    for index, actuator in enumerate(manifest.actuators):
-        if (
-            actuator.component_type.casefold() == THERMOSTAT.casefold()
-            and actuator.control_type.casefold() == control
-            and actuator.key.casefold() == zone.casefold()
-        ):
-            return index
-    zone_words, best, most_words = set(words(zone)), None, -1
-    for index, actuator in enumerate(manifest.actuators):
-        place = _place_of_setpoint(actuator, kind)
-        is_served = place is not None and place <= zone_words and (place or not zone_words & _UNCONDITIONED)
-        if place is not None and is_served and len(place) > most_words:
-            best, most_words = index, len(place)
-    return best
+class _SetpointActuators:
+    """The actuators of the heating or cooling setpoints of a node's zones.
+
+    Args:
+        manifest: manifest of the node.
+        kind: `heating` or `cooling`.
+    """
+
+    def __init__(self, manifest: Manifest, kind: str) -> None:
+        control = (HEATING_SETPOINT if kind == "heating" else COOLING_SETPOINT).casefold()
+        self._thermostats: dict[str, int] = {}
+        self._everywhere: int | None = None
+        places: list[tuple[int, set[str]]] = []
+        for index, actuator in enumerate(manifest.actuators):
+            types = actuator.component_type.casefold(), actuator.control_type.casefold()
+            if types == (THERMOSTAT.casefold(), control):
+                self._thermostats.setdefault(actuator.key.casefold(), index)
+            place = _place_of_setpoint(actuator, kind)
+            if place:
+                places.append((index, place))
+            elif place is not None and self._everywhere is None:
+                self._everywhere = index
+        counts = Counter(word for _, place in places for word in place)
+        self._by_rarest: dict[str, list[tuple[int, set[str]]]] = {}
+        for index, place in places:
+            self._by_rarest.setdefault(min(place, key=lambda word: (counts[word], word)), []).append((index, place))
+
+    def of_zone(self, zone: str) -> int | None:
+        """Return the actuator of a zone's setpoint: its thermostat's, else one that the words of a name assign to it.
+
+        Of several, it is the first one with the most words of the zone's name, then one that names no place.
+        """
+        if (thermostat := self._thermostats.get(zone.casefold())) is not None:
+            return thermostat
+        zone_words = set(words(zone))
+        named = [each for word in zone_words for each in self._by_rarest.get(word, ()) if each[1] <= zone_words]
+        if named:
+            return min(named, key=lambda each: (-len(each[1]), each[0]))[0]
+        return None if zone_words & _UNCONDITIONED else self._everywhere
 
 
 def _place_of_setpoint(actuator: Actuator, kind: str) -> set[str] | None:

@@ -16,6 +16,7 @@ from zenostat.topics.points import value_index
 from zenostat.views.room.description import NodeDescription, describe
 from zenostat.views.room.numbers import to_json
 from zenostat.views.room.state import node_state, summary
+from zenostat.views.room.step_rate import StepRate
 from zenostat.views.room.updates import Updates
 
 T = TypeVar("T")
@@ -28,7 +29,6 @@ _ABSENT_POLL_S, _LONGEST_ABSENT_POLL_S = 2.0, 60.0
 _PAUSE_S = 0.1
 _EVENTS = 500
 _EVENTS_SENT = 40
-_RATE_WINDOW_S = 5.0
 
 
 class NodeWatch:
@@ -61,7 +61,7 @@ class NodeWatch:
         self._bus, self._updates, self._on_change = bus, updates, on_change
         self._events: deque[dict[str, Any]] = deque(maxlen=_EVENTS)
         self._event_number = self._sent_number = 0
-        self._progress: deque[tuple[float, int, int]] = deque()
+        self._step_rate = StepRate()
         self._wake, self._is_closed, self._is_stale = threading.Event(), False, True
         self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._run, name=f"room-{node}", daemon=True)
@@ -153,7 +153,7 @@ class NodeWatch:
             alarms, faults = self._unless_refused(self._bus.alarms), self._unless_refused(self._bus.fault_plan)
             self.state = node_state(self.description, status, sample, alarms, faults)
             self.problem, self.has_ended = "", False
-            self._progress.append((time.monotonic(), status.episode[0], status.step[0]))
+            self._step_rate.add(time.monotonic(), status.episode[0], status.step[0])
         except (NodeLost, NodeNotFound):
             is_replay = self.description is not None and self.description.manifest.replay
             self.has_ended = self.has_ended or self._is_stopped or is_replay
@@ -172,7 +172,7 @@ class NodeWatch:
 
     def _lose(self, problem: str) -> None:
         self.state, self.problem = None, problem
-        self._progress.clear()
+        self._step_rate.clear()
 
     def _describe(self) -> None:
         manifest = self._bus.manifest(self.node)
@@ -205,13 +205,6 @@ class NodeWatch:
         self._on_change()
 
     def _rate(self) -> float | None:
-        """Return the simulated seconds per second over the last seconds; None if it is not known."""
-        progress, description = self._progress, self.description
-        while len(progress) > 2 and progress[-1][0] - progress[0][0] > _RATE_WINDOW_S:
-            progress.popleft()
-        if len(progress) < 2 or description is None:
-            return None
-        (begun_s, episode, step), (ended_s, last_episode, last_step) = progress[0], progress[-1]
-        if episode != last_episode or ended_s <= begun_s:
-            return None
-        return (last_step - step) * description.manifest.step_s / (ended_s - begun_s)
+        """Return the simulated seconds per second; None if it is not known."""
+        description = self.description
+        return None if description is None else self._step_rate.rate(time.monotonic(), description.manifest.step_s)

@@ -1,0 +1,50 @@
+"""The rate at which a node simulates, from polls that are not aligned with its timesteps."""
+
+import numpy as np
+import pytest
+
+from zenostat.views.room.step_rate import StepRate
+
+
+def polled(
+    rate: StepRate, step_at: list[float], *, until_s: float, step_s: float, poll_s: float = 0.5
+) -> list[float | None]:
+    """Return the rate at each poll of a node whose step k begins at `step_at[k]`."""
+    rates = []
+    for now_s in np.arange(0.0, until_s, poll_s).tolist():
+        rate.add(now_s, 1, int(np.searchsorted(step_at, now_s, side="right")) - 1)
+        rates.append(rate.rate(now_s, step_s))
+    return rates
+
+
+@pytest.mark.parametrize("speed", [1.0, 60.0, 90.0, 900.0])
+def test_step_rate__of_a_paced_node_is_its_speed_whatever_the_length_of_a_step(speed: float) -> None:
+    every_s = 900.0 / speed
+    rates = polled(StepRate(), [every_s * k - 0.1 for k in range(8)], until_s=7 * every_s, step_s=900.0)
+    assert rates[: int(2 * every_s)].count(None) > 0
+    known = [value for value in rates if value is not None]
+    assert len(known) > len(rates) / 2
+    assert known == pytest.approx([speed] * len(known), rel=0.5 / 5.0)  # the window is a poll longer or shorter
+
+
+def test_step_rate__of_a_fast_node_counts_all_its_steps() -> None:
+    rates = polled(StepRate(), [0.001 * k for k in range(30_000)], until_s=29.0, step_s=900.0)
+    assert rates[-1] == pytest.approx(900.0 / 0.001)
+
+
+def test_step_rate__of_a_paused_node_is_0_and_afterwards_that_of_new_steps() -> None:
+    before, after = [float(k) for k in range(10)], [100.0 + 2.0 * k for k in range(10)]
+    rates = polled(StepRate(), before + after, until_s=118.0, step_s=60.0)
+    assert rates[2 * 9] == pytest.approx(60.0)
+    assert set(rates[2 * 15 : 2 * 100]) == {0.0}
+    assert rates[2 * 100 : 2 * 102] == [None] * 4
+    assert rates[2 * 102 :] == pytest.approx([30.0] * len(rates[2 * 102 :]))
+
+
+def test_step_rate__begins_anew_with_an_episode() -> None:
+    rate = StepRate()
+    for now_s, episode, step in ((0.0, 1, 7), (1.0, 1, 8), (2.0, 1, 9), (3.0, 2, 0)):
+        rate.add(now_s, episode, step)
+    assert rate.rate(3.0, 60.0) is None
+    rate.add(4.0, 2, 1)
+    assert rate.rate(4.0, 60.0) == pytest.approx(60.0)
