@@ -14,6 +14,9 @@ from zenostat.topics.messages import Ack, EventKind, Message, Mode, Pause, Resum
 
 _PACED = Mode.PACED
 
+_SUSPENDED_S = 0.5
+"""A deadline that is noticed this much later means that the node's process has been suspended."""
+
 
 class Pacing:
     """Pace, pauses and deadlines of one server; for its thread.
@@ -103,8 +106,13 @@ class Pacing:
         exchange = self._server.exchange
         deadline_s = exchange.deadline_s
         if deadline_s is not None and exchange.mode is Mode.LOCKSTEP and not self._is_stopped:
-            self._deadline_at_s = now_s + deadline_s
-            self._call_at(self._deadline_at_s, lambda: self._server.subscriptions.post(self._on_deadline))
+            due_s = self._deadline_at_s = now_s + deadline_s
+
+            def notice() -> None:
+                late_s = monotonic() - due_s
+                self._server.subscriptions.post(lambda: self._on_deadline(late_s))
+
+            self._call_at(due_s, notice)
 
     def cancel(self) -> None:
         """Cancel the pending wake-up or deadline."""
@@ -122,10 +130,16 @@ class Pacing:
         self.cancel()
         self._timer_event = self._server.timer.at(due_s, call)
 
-    def _on_deadline(self) -> None:
+    def _on_deadline(self, late_s: float) -> None:
         # The task may run after its step has ended; the present step then has a later deadline.
         server, now_s = self._server, monotonic()
         if self._is_stopped or server.exchange.mode is not Mode.LOCKSTEP or now_s < self._deadline_at_s:
+            return
+        server.receive_commands()  # those that have arrived while the node was occupied, by a trial for instance
+        if late_s >= _SUSPENDED_S and server.exchange.awaiting():  # they may be on their way
+            text = f"the node was suspended for {late_s:.1f} s or more; the deadline of the step starts again"
+            server.event(server.exchange.event(EventKind.WARNING, text))
+            self.wait(now_s)
             return
         try:
             server.publish_events(server.exchange.fallback.on_deadline(now_s))

@@ -121,6 +121,9 @@ class ServedNode(Protocol):
     def fail(self, error: Exception) -> None:
         """End the episode."""
 
+    def receive_commands(self) -> None:
+        """Receive the commands that have arrived, before the tasks that are pending."""
+
     def deliver(self, controller: str, receive: Callable[[], None]) -> bool:
         """Receive a command as injected faults of the link allow."""
 

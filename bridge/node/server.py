@@ -172,6 +172,13 @@ class NodeServer:
             self._stopped = True
             raise Stopped
 
+    def receive_commands(self) -> None:
+        """Receive the commands that have arrived, before the tasks that are pending."""
+        for _ in range(COMMAND_QUEUE):
+            if (received := self.subscriptions.try_receive()) is None:
+                return
+            self._receive_message(*received)
+
     def _receive_all(self) -> None:
         """Receive what arrived during a timestep; one message per step would let several controllers' pile up."""
         for _ in range(COMMAND_QUEUE):
@@ -184,7 +191,10 @@ class NodeServer:
         if received is None:
             self._run_tasks()
             return False
-        controller, message = received
+        self._receive_message(*received)
+        return True
+
+    def _receive_message(self, controller: str, message: zenoh.Sample) -> None:
         payload, encoding = message.payload.to_bytes(), str(message.encoding)
         if self._recorder is not None:
             if controller not in self._recorder.senders:
@@ -194,7 +204,6 @@ class NodeServer:
             self.deliver(controller, lambda: self._receive_command(controller, payload, encoding))
         elif not self.exchange.intake.accept_fast(controller, payload, monotonic(), encoding):
             self._receive_command(controller, payload, encoding)
-        return True
 
     def _receive_command(self, controller: str, payload: bytes, encoding: str) -> None:
         exchange, limited = self.exchange, self.exchange.counts.rate_limited

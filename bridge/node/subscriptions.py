@@ -222,8 +222,16 @@ class Subscriptions:
             self._is_waiting = False
             self._is_command_next = not self._is_command_next
             message = self._try_recv() if self._is_command_next else None
-        if message is None:
-            return None
+        return None if message is None else self._command(message)
+
+    def try_receive(self) -> tuple[str, zenoh.Sample] | None:
+        """Return the next command that has arrived, and its controller; None if there is none."""
+        while (message := self._try_recv()) is not None:
+            if (command := self._command(message)) is not None:
+                return command
+        return None
+
+    def _command(self, message: zenoh.Sample) -> tuple[str, zenoh.Sample] | None:
         # The node's name in the key may be a wildcard.
         controller = keys.shortened(str(message.key_expr).rpartition("/")[2])
         if controller == _WAKE:

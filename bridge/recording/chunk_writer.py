@@ -11,6 +11,7 @@ import struct
 import zlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from time import monotonic
 from typing import TYPE_CHECKING
 
 import zstandard
@@ -70,6 +71,7 @@ class ChunkWriter:
         self._parts: list[bytes] = []
         self._index: dict[int, list[int]] = {}
         self._start_ns = self._end_ns = 0
+        self._begun_s = 0.0
         self._first_ns = self._last_ns = 0
         self._compressor = zstandard.ZstdCompressor(level=_LEVEL)
         self._schemas: dict[str, Schema] = {}
@@ -153,6 +155,11 @@ class ChunkWriter:
         """Add a message to the present chunk; writes nothing."""
         length, size = len(payload), self.size
         if not self._index:
+            self._start_ns = self._end_ns = time_ns
+            self._begun_s = monotonic()
+        elif time_ns >= self._end_ns:
+            self._end_ns = time_ns
+        elif time_ns < self._start_ns:  # the clock has been set back
             self._start_ns = time_ns
         self._parts.append(
             _MESSAGE.pack(_OPCODE, _MESSAGE_FIELDS + length, channel, self.messages & _WRAP, time_ns, time_ns)
@@ -164,14 +171,13 @@ class ChunkWriter:
         else:
             index += (time_ns, size)
         self.messages += 1
-        self._end_ns = time_ns
         self.size = size + _MESSAGE.size + length
         self._chunk_payload_bytes += length
 
     @property
-    def started_ns(self) -> int:
-        """Time of the first message of the present chunk; 0 if it has none."""
-        return self._start_ns if self._index else 0
+    def age_s(self) -> float:
+        """Time since the first message was added to the present chunk, by a clock that nobody sets; 0 without any."""
+        return monotonic() - self._begun_s if self._index else 0.0
 
     def flush(self) -> None:
         """Write the present chunk, if it contains a message."""
@@ -206,7 +212,8 @@ class ChunkWriter:
                 uncompressed_size=len(data),
             )
         )
-        self._first_ns, self._last_ns = self._first_ns or self._start_ns, self._end_ns
+        self._first_ns = min(self._first_ns or self._start_ns, self._start_ns)
+        self._last_ns = max(self._last_ns, self._end_ns)
         for channel, entries in self._index.items():
             self._counts[channel] += len(entries) // 2
         self._parts, self._index, self.size = [], {}, 0

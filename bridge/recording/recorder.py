@@ -47,7 +47,7 @@ MAX_CHANNELS = 4096
 """Largest number of channels for controllers and actuators; messages of further ones share the channel `others`."""
 
 _CHUNK_BYTES = 1 << 20
-_CHUNK_NS = 700_000_000
+_CHUNK_S = 0.7
 _INTERVAL_S = 0.25
 """A message waits for at most both together, which is less than a second, before it is written."""
 _LOOK_S = 0.25
@@ -324,7 +324,7 @@ class Recorder:
                 self._flush(writer)
             self._check_file()
             os.sched_yield()
-        if self._is_waiting or (writer.started_ns and time_ns() - writer.started_ns >= _CHUNK_NS):
+        if self._is_waiting or writer.age_s >= _CHUNK_S:
             self._flush(writer)
 
     def _flush(self, writer: ChunkWriter) -> None:

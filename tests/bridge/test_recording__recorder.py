@@ -1,5 +1,6 @@
 """The recorder: all messages in order, a full buffer, a full disk, and two recorders of one file."""
 
+import itertools
 import os
 import resource
 import shutil
@@ -48,6 +49,25 @@ def test_recording__file_is_what_other_readers_expect(tmp_path: Path) -> None:
         assert {a.name for a in reader.iter_attachments()} == {"manifest.json", "scenario.yaml", "provenance.json"}
     assert numbers == [*range(6000)]
     assert 0 < later < 6000
+
+
+def test_recording__is_written_while_the_clock_is_set_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An hour back after the first message: what is recorded is in the file long before the clock has caught up."""
+    hour_ns, offsets_ns, count = 3600 * 10**9, [2 * 3600 * 10**9], itertools.count()
+    monkeypatch.setattr("zenostat.bridge.recording.recorder.time_ns", lambda: offsets_ns[0] + next(count))
+    path = tmp_path / "a.mcap"
+    recorder = new_recorder(path)
+    for number in range(3):
+        recorder.add(SAMPLES, number.to_bytes(4, "little"))
+        offsets_ns[0] = hour_ns
+    until(lambda: numbers(path) == [0, 1, 2], "it is written")
+    recorder.close()
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        statistics = reader.get_summary().statistics
+        times_ns = [message.log_time for _, _, message in reader.iter_messages()]
+    assert max(times_ns) - min(times_ns) > 0.9 * hour_ns
+    assert (statistics.message_start_time, statistics.message_end_time) == (min(times_ns), max(times_ns))
 
 
 def test_recording__commands_with_an_encoding_of_their_own_have_a_channel_each_others_share_one(tmp_path: Path) -> None:

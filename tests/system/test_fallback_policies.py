@@ -6,6 +6,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ import zenoh
 from support.events import events_of, next_event
 from support.nodes import COOLING, SMALL, NodeProgram, Program, begin_new_episode, free_port, node_on_bus, until
 from support.run_cli import ZENOSTAT, error_of, run_program
+from support.tank_plant import TANK
 
 import zenostat
 from zenostat.bridge.client.sample import SampleView
@@ -268,6 +270,59 @@ def test_fallback_policies__controller_that_joins_late_and_is_silent_meets_its_d
             assert (event.kind, event.source) == (EventKind.FALLBACK, link.name)
         else:
             assert (event.kind, event.error) == (EventKind.FAILED, "EpisodeAborted")
+
+
+# The node itself is occupied or suspended
+
+SLOW_TRIALS = """
+import time
+
+class Slow:
+    step_s, begin, duration_s = 60.0, "2026-01-12T00:00", 86400.0
+    sensors, actuators = {"level": ("m", 0.0, None)}, {"pump": ("W", 0.0, 100.0, 5.0)}
+    forkable = True
+
+    def reset(self, seed):
+        return {"level": 0.0}
+
+    def step(self, commands):
+        time.sleep(1.5 if commands["pump"] == 42.0 else 0.0)
+        return {"level": commands["pump"]}
+"""
+
+
+@pytest.mark.parametrize("policy", ["abort", "hold"])
+def test_deadline__command_that_arrives_during_a_trial_is_in_time(scratch: Path, policy: str) -> None:
+    (scratch / "slow.py").write_text(SLOW_TRIALS)
+    with (
+        node_on_bus(scratch / "node", plant=f"{scratch}/slow.py:Slow", policy=policy, deadline_s=0.6) as (node, bus),
+        zenostat.connect(node.endpoint, affinity="off") as other,
+        ThreadPoolExecutor(1) as thread,
+        bus.controller("office", name="agent") as link,
+    ):
+        trial = thread.submit(other.try_steps, "office", [[{"pump": 42.0}]], name="planner")
+        time.sleep(0.2)
+        link.current().send({"pump": 7.0})
+        sample = link.receive()
+        assert trial.result()[0][0]["level"] == 42.0
+        assert (sample.step, sample["level"], sample.fallback) == (1, 7.0, False)
+
+
+def test_deadline__begins_again_after_the_node_was_suspended(scratch: Path) -> None:
+    with (
+        node_on_bus(scratch / "node", plant=TANK, policy="abort", deadline_s=1.0) as (node, bus),
+        events_of(bus) as events,
+        bus.controller("office", name="agent") as link,
+    ):
+        link.current()
+        os.kill(node.process.pid, signal.SIGSTOP)
+        time.sleep(2.0)
+        os.kill(node.process.pid, signal.SIGCONT)
+        event = next_event(events, EventKind.WARNING, EventKind.FAILED)
+        assert "suspended for" in event.text
+        link.current().send({"pump": 7.0})
+        assert link.receive().step == 1
+        assert next_event(events, EventKind.FAILED).error == "EpisodeAborted"  # nobody answers the next one
 
 
 # Aborted
