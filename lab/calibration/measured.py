@@ -422,12 +422,14 @@ def _between(
     values = [column.values[kept].copy() for column in columns]
     lengths = np.array([(after - before) / _DAY for before, after in pairwise(stamps)])
     usual = float(np.median(lengths))
-    for row in np.flatnonzero(lengths > _GAP * usual).tolist() if config.interval is None else ():
+    are_bills = usual * _DAY >= _LONG
+    for row in np.flatnonzero(lengths > _GAP * usual).tolist() if config.interval is None or not are_bills else ():
         if config.missing != "leave_out":
             raise InvalidConfig(
                 f"{path}, line {rows[row]}: its row lasts from {stamps[row]} to {stamps[row + 1]}, {lengths[row]:g} "
                 f"days, and most rows {usual:g} days: another seems to be missing; add it, with empty cells if it is "
-                "unknown, set interval: between if the row does last that long, or missing: leave_out"
+                f"unknown{', set interval: between if the row does last that long' if are_bills else ''}, or set "
+                "missing: leave_out"
             )
         for column in values:
             column[row] = np.nan
@@ -450,12 +452,13 @@ def _check_period(
     times = [begin, *(data.ends[row] for row in rows)]
     starts = [*(data.begins[row] for row in rows), end]
     for number, (last, first) in enumerate(zip(times, starts, strict=True)):
-        if first > last and is_hourly:
+        if first > last and (is_hourly or first - last >= _DAY):  # bills are read at some hour of a day
             line = data.lines[rows[number]] if number < len(rows) else data.lines[rows[-1]] + 1
             saving = _SAVING if _may_be_saving(last) and config.time_zone is None and first - last == _HOUR else ""
             raise InvalidConfig(
                 f"{path}, before line {line}: no data for {last} to {first}, within {name}; add the rows, choose other "
-                f"days, or set missing: leave_out{saving}"
+                f"days{'' if is_hourly else ' (rows that reach beyond them do not count)'}, or set missing: "
+                f"leave_out{saving}"
             )
     for column in data.columns:
         empty = [row for row in rows if math.isnan(column.values[row])]

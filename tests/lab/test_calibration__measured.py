@@ -127,6 +127,21 @@ def test_read_measured__bill_without_an_end_or_a_beginning_is_an_error(file: Pat
     assert len(read(file, lines, METER, missing="leave_out", **settings).lines) == 11
 
 
+def test_read_measured__bills_that_do_not_cover_a_period_are_an_error(file: Path) -> None:
+    lines = ["date,meter [kWh]", "2017-01-01,7", "2017-02-01 09:00,7", "2017-03-01,7", "2017-03-29,"]
+    assert len(read(file, lines, METER, periods=[["2017-01-01", "2017-03-28"]]).lines) == 3
+    with pytest.raises(InvalidConfig, match=r"no data for 2017-03-29 .* to 2017-04-01 .*beyond them do not count"):
+        read(file, lines, METER, periods=[["2017-01-01", "2017-03-31"]])
+    with pytest.raises(InvalidConfig, match=r"no data for 2017-03-01 .* to 2017-03-16"):
+        read(file, lines, METER, periods=[["2017-01-01", "2017-03-15"]])
+
+
+def test_read_measured__missing_day_between_daily_stamps_is_an_error(file: Path) -> None:
+    lines = ["date,meter [kWh]", *rows([f"2017-03-{day:02}" for day in (11, 12, 13, 15, 16)], "7")]
+    with pytest.raises(InvalidConfig, match=r"line 4: its row lasts .* 2 days, and most rows 1 days"):
+        read(file, lines, METER, interval="between", periods=[["2017-03-11", "2017-03-15"]])
+
+
 # Time
 
 
