@@ -52,7 +52,7 @@ def alarms(
         show_json(_as_json(node, listed, show_all=show_all))
         return
     if not _selected(listed, show_all=show_all):
-        out.print(_title(node, listed), markup=False, soft_wrap=True)
+        out.print(_title(node, listed), soft_wrap=True)
         return
     show(_title(node, listed), _COLUMNS, _rows(listed, show_all=show_all), right=("value",), wrap=_WRAPPED)
 
@@ -73,7 +73,7 @@ def _follow(read: Callable[[], AlarmList], node: str, *, show_all: bool, as_json
         for listed in _polled(read):
             _print_changes(node, listed, known, show_all=show_all, as_json=as_json)
     except NodeNotFound as error:
-        err.print(str(error), markup=False)
+        err.print(str(error))
     except KeyboardInterrupt:  # the usual way to stop
         return
 

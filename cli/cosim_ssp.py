@@ -48,10 +48,10 @@ def convert(source: Path, target: Path, loops: Loops, *, overwrite: bool) -> Non
     target.write_text(dump(district(structure, folder.name, loops, source.name)), encoding="utf-8")
     read_district(target)
     for note in structure.notes:
-        err.print(f"note: {note}", style="yellow", markup=False, soft_wrap=True)
+        err.print(f"note: {note}", style="yellow", soft_wrap=True)
     plants, links = len(structure.components), len(structure.links)
     out.print(f"{target}: FMUs: {plants}, connections: {links}; check it with: zenostat cosim {target} --check",
-              markup=False, soft_wrap=True)  # fmt: skip
+              soft_wrap=True)  # fmt: skip
 
 
 def _check_target(target: Path, folder: Path, *, overwrite: bool) -> None:

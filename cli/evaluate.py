@@ -91,7 +91,7 @@ def evaluate(
     if outputs.wanted:
         outputs.write(evaluation.comparison(command_line()))
     for name, reason in evaluation.unfit.items():
-        err.print(f"{name} is skipped: {reason}", soft_wrap=True, markup=False)
+        err.print(f"{name} is skipped: {reason}", soft_wrap=True)
     if as_json:
         show_json(evaluation.table())
         return
@@ -134,7 +134,7 @@ def _show(evaluation: Evaluation, title: str) -> None:
         has_interval = any(metric.interval for metrics in summary.values() for metric in metrics.values())
         out.print(INTERVAL_NOTE if has_interval else "Means over the episodes; intervals need SciPy.", soft_wrap=True)
     for source, labels in notes.items():
-        out.print(f"{', '.join(labels)}: {source}", soft_wrap=True, markup=False)
+        out.print(f"{', '.join(labels)}: {source}", soft_wrap=True)
 
 
 def _is_shown(name: str, summary: Mapping[str, Mapping[str, MetricSummary]]) -> bool:

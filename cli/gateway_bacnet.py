@@ -107,6 +107,4 @@ def _write_objects(node: str, number: int, file: Path, options: BusOptions) -> N
                 table.writerow((*names, spec.low, spec.high, spec.description))
     except OSError as error:
         raise InvalidConfig(f"--objects {file}: {error.strerror}") from None
-    out.print(
-        f"objects of {node}: {file} ({counted(len(fixed) + len(points), 'object')})", soft_wrap=True, markup=False
-    )
+    out.print(f"objects of {node}: {file} ({counted(len(fixed) + len(points), 'object')})", soft_wrap=True)

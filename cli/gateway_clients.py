@@ -38,11 +38,10 @@ def clients_of(
             "read-only: no client may write; name clients in a file (--clients) and what each may write, or permit "
             "everything to all of them with --allow '*=*'",
             soft_wrap=True,
-            markup=False,
         )
     return clients
 
 
 def notify(text: str) -> None:
     """Print a line for the operator."""
-    err.print(text, markup=False, soft_wrap=True)
+    err.print(text, soft_wrap=True)

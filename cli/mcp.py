@@ -102,5 +102,5 @@ def mcp(
         stack.enter_context(override_signals(lambda *_: http.stop(), *TERMINATION_SIGNALS))
         out.print(f"ready: {http.url}", soft_wrap=True)
         where = f"in {token_file}" if token_file is not None else token
-        out.print(f"Clients send the token as a bearer token: {where}", soft_wrap=True, markup=False)
+        out.print(f"Clients send the token as a bearer token: {where}", soft_wrap=True)
         http.run()

@@ -197,7 +197,7 @@ def _write_text(file: Path, text: str, content: str) -> None:
 
     with atomic_file(file) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    err.print(f"semantic model: {file} ({content})", soft_wrap=True, markup=False)
+    err.print(f"semantic model: {file} ({content})", soft_wrap=True)
 
 
 def _show_unreadable(entry: Entry, error: ZenostatError, *, as_json: bool) -> None:
@@ -210,11 +210,11 @@ def _show_unreadable(entry: Entry, error: ZenostatError, *, as_json: bool) -> No
         facts = {"name": entry.name, "file": str(entry.path), "version": version}
         show_json({**facts, "diagnostics": [asdict(each) for each in diagnostics]})
     else:
-        out.print(entry.name, style="bold", markup=False)
+        out.print(entry.name, style="bold")
         for term, text in (("File", str(entry.path)), (_VERSION, version or "none given")):
-            out.print(f"{term}: {text}", soft_wrap=True, markup=False, highlight=False)
+            out.print(f"{term}: {text}", soft_wrap=True)
         for each in diagnostics:
-            out.print(f"{each.severity}: {each}", soft_wrap=True, markup=False, highlight=False)
+            out.print(f"{each.severity}: {each}", soft_wrap=True)
     _count_errors(str(entry.path), diagnostics)
 
 
@@ -302,20 +302,20 @@ def _tables(description: ModelDescription) -> Iterator[tuple[str, tuple[str, ...
 
 
 def _show(description: ModelDescription) -> None:
-    out.print(description.name, style="bold", markup=False)
+    out.print(description.name, style="bold")
     for term, text in _facts(description):
         if text:
-            out.print(f"{term}: {text}", soft_wrap=True, markup=False, highlight=False)
+            out.print(f"{term}: {text}", soft_wrap=True)
     for note in _notes(description):
-        out.print(note, soft_wrap=True, markup=False, highlight=False)
+        out.print(note, soft_wrap=True)
     for title, systems in (("Air loops", description.air_loops), ("Plant loops", description.plant_loops)):
         if systems:
-            out.print(f"\n{title}", style="bold", markup=False)
+            out.print(f"\n{title}", style="bold")
         for system in systems:
             _show_system(system, 1)
     for title, columns, rows in _tables(description):
         if rows:
-            out.print(f"\n{title}", style="bold", markup=False)
+            out.print(f"\n{title}", style="bold")
             show("", columns, rows, right=("area (m²)", "multiplier"), wrap=columns)
 
 
@@ -333,7 +333,7 @@ def _show_system(system: System, depth: int) -> None:
 
 
 def _line(text: str, depth: int) -> None:
-    out.print(f"{'  ' * depth}{text}", soft_wrap=True, markup=False, highlight=False)
+    out.print(f"{'  ' * depth}{text}", soft_wrap=True)
 
 
 def _write_page(description: ModelDescription, path: Path) -> None:
@@ -354,4 +354,4 @@ def _write_page(description: ModelDescription, path: Path) -> None:
     )
     with atomic_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    out.print(f"page: {path}", soft_wrap=True, markup=False)
+    out.print(f"page: {path}", soft_wrap=True)

@@ -91,7 +91,7 @@ def _print_charts(history: History, height: int) -> None:
     from zenostat.cli.chart import COLORS, chart, label_width, scale_of
 
     times, is_colored = _times(history), out.is_terminal and not out.no_color and out.color_system is not None
-    out.print(_title(history, times), markup=False, soft_wrap=True)
+    out.print(_title(history, times), soft_wrap=True)
     of_unit = {
         unit: [name for name, own in zip(history.points, history.units, strict=True) if own == unit]
         for unit in dict.fromkeys(history.units)

@@ -44,7 +44,7 @@ def router(
     )
     with until_signal() as stop, opened as session, ExitStack() as stack:
         for warning in filter(None, (exposure(endpoints, keys), opened.warning)):
-            err.print(f"warning: {warning}", style="yellow", markup=False)
+            err.print(f"warning: {warning}", style="yellow")
         if (folder := keys_folder(keys)) is not None:
             from zenostat.bridge.transport.deny_list import DenyList
 
@@ -53,10 +53,10 @@ def router(
                 folder,
                 session,
                 timer,
-                lambda names: out.print(f"revoked: {', '.join(sorted(names))}", markup=False),
-                lambda error: err.print(f"warning: {error}", style="yellow", markup=False),
+                lambda names: out.print(f"revoked: {', '.join(sorted(names))}"),
+                lambda error: err.print(f"warning: {error}", style="yellow"),
             )
             stack.callback(revoked.close)
-        out.print(f"router on {', '.join(endpoints)}; press Ctrl-C to stop", markup=False)
+        out.print(f"router on {', '.join(endpoints)}; press Ctrl-C to stop")
         with reported(lambda report: report()):
             stop.wait()

@@ -58,7 +58,6 @@ def listing(
     out.print(
         "An id has the form BUILDING-WEATHER-ACTIONS-v1, or BUILDING-WEATHER-ACTIONS-stochastic-v1 with weather noise. "
         'Each id is an environment: gym.make("zenostat/ID"). To list ids: zenostat scenarios --match TEXT',
-        markup=False,
     )
 
 
@@ -139,7 +138,7 @@ def check(file: Annotated[Path, typer.Argument(help="Scenario file.")]) -> None:
         f"{counted(len(points.meters), 'meter')}, {counted(len(planned.task.actions), 'action')}"
     )
     for warning in planned.warnings:
-        out.print(f"warning: {warning}", style="yellow", markup=False)
+        out.print(f"warning: {warning}", style="yellow")
 
 
 def plan_scenario(settings: Mapping[str, Any]) -> Plan:

@@ -42,7 +42,7 @@ def status(
     _print_forks(nodes)
     failed = [each for each in nodes if each.failure]
     for each in failed:
-        out.print(f"{each.node}: {each.failure}", style="red", markup=False)
+        out.print(f"{each.node}: {each.failure}", style="red")
     if failed and node is not None:
         raise typer.Exit(1)
 

@@ -57,7 +57,7 @@ def train(
     from zenostat.lab.training import train as run
 
     if resume and (changes := training_folder.changed_versions(config.folder)):
-        err.print(f"resumed with other versions, so not equal to the bit: {'; '.join(changes)}", markup=False)
+        err.print(f"resumed with other versions, so not equal to the bit: {'; '.join(changes)}")
     with stop_signals() as (stop, received), progress() as bars:
         watch = None if not out.is_interactive else _watcher(bars)
         result = run(
@@ -70,10 +70,10 @@ def train(
         )
     if not result.finished:
         again = f"zenostat train {result.folder} --resume"
-        out.print(f"stopped; checkpoint at step {result.step:,}; continue with: {again}", soft_wrap=True, markup=False)
+        out.print(f"stopped; checkpoint at step {result.step:,}; continue with: {again}", soft_wrap=True)
         raise typer.Exit(128 + received[0])
     best = "" if result.best_reward is None else f", best evaluation {result.best_reward:,.2f}"
-    out.print(f"{result.folder}: {counted(result.step, 'step', ',')}{best}", soft_wrap=True, markup=False)
+    out.print(f"{result.folder}: {counted(result.step, 'step', ',')}{best}", soft_wrap=True)
 
 
 def _read(file: Path | None, options: dict[str, Any], texts: Sequence[str], resume: bool) -> TrainingConfig:
@@ -151,9 +151,9 @@ def _watcher(bars: Any) -> Callable[[TrainingStatus], None]:
 def _print_evaluation(step: int, results: tuple[EpisodeMetrics, ...]) -> None:
     rewards = [result.reward for result in results if result.reward is not None]
     if rewards:
-        out.print(f"step {step:,}: evaluation {sum(rewards) / len(rewards):,.2f}", soft_wrap=True, markup=False)
+        out.print(f"step {step:,}: evaluation {sum(rewards) / len(rewards):,.2f}", soft_wrap=True)
 
 
 def _print_references(rewards: dict[str, float]) -> None:
     for name, reward in rewards.items():
-        out.print(f"{name}: {reward:,.2f} in the evaluation episodes", soft_wrap=True, markup=False)
+        out.print(f"{name}: {reward:,.2f} in the evaluation episodes", soft_wrap=True)

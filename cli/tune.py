@@ -56,17 +56,17 @@ def tune(
         def show_trial(trial: Any) -> None:
             bars.update(bar, completed=tuning.ended())
             count = f"[{tuning.ended()}/{tuning.total()}] " if bars.disable else ""
-            out.print(f"{count}{_line(trial)}", soft_wrap=True, markup=False)
+            out.print(f"{count}{_line(trial)}", soft_wrap=True)
 
         tuning = Tuning(config, show_trial)
         bars.update(bar, completed=tuning.ended(), total=tuning.total())
         if bars.disable:
-            out.print(f"{config.study}: {tuning.ended()} of {tuning.total()} trials have ended", markup=False)
+            out.print(f"{config.study}: {tuning.ended()} of {tuning.total()} trials have ended")
         is_finished = tuning.run(stop)
     _show(config, tuning.study)
     best = tuning.write_best()
     for path in (*write_results(tuning.study, config), *([best] if best else [])):
-        out.print(str(path), soft_wrap=True, markup=False)
+        out.print(str(path), soft_wrap=True)
     if not is_finished:
         out.print("stopped; the same command continues the study", soft_wrap=True)
         raise typer.Exit(128 + received[0])
@@ -96,7 +96,7 @@ def _show(config: StudyConfig, study: Any) -> None:
         counts[trial.state.name.lower()] = counts.get(trial.state.name.lower(), 0) + 1
     title = f"{config.study}: {', '.join(f'{count} {state}' for state, count in counts.items())}"
     if not out.is_terminal:  # where tables have no titles
-        out.print(title, markup=False)
+        out.print(title)
     headings = [name.removeprefix("parameters.") for name in names]
     show(title, ("trial", config.metric, *headings), rows, right=("trial", config.metric, *headings))
 

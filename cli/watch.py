@@ -57,7 +57,7 @@ def watch(
                     else:
                         table.update(sample, names)
     except NodeLost as error:
-        err.print(str(error), markup=False)
+        err.print(str(error))
     except KeyboardInterrupt:  # the usual way to stop
         return
 
