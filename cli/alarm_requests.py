@@ -136,4 +136,4 @@ def _send(node: str, options: BusOptions, request: Callable[[Bus], Ack]) -> None
     with options.open_bus(Role.OPERATOR) as bus:
         ack = request(bus)
     for text in ack.text.splitlines():
-        out.print(f"{node}: {text}", soft_wrap=True)
+        out.print(f"{node}: {text}")

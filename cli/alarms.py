@@ -52,7 +52,7 @@ def alarms(
         show_json(_as_json(node, listed, show_all=show_all))
         return
     if not _selected(listed, show_all=show_all):
-        out.print(_title(node, listed), soft_wrap=True)
+        out.print(_title(node, listed))
         return
     show(_title(node, listed), _COLUMNS, _rows(listed, show_all=show_all), right=("value",), wrap=_WRAPPED)
 

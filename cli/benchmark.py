@@ -246,13 +246,13 @@ def _check_submission(
             progress=watcher(stack),
         )  # fmt: skip
     for note in notes:
-        err.print(note, soft_wrap=True)
+        err.print(note)
     _report(errors, f"{path}: no errors; the notes say what was not checked")
 
 
 def _report(errors: Sequence[str], success: str) -> None:
     end_with_failures(errors)
-    out.print(success, soft_wrap=True)
+    out.print(success)
 
 
 def _check_page(page: Path) -> None:
@@ -279,7 +279,7 @@ def file_hashes(set_name: str) -> dict[str, str]:
 def watcher(stack: ExitStack) -> Progress:
     """Show a progress bar for the trainings and one for the tasks; without a terminal, a line for each finished one."""
     if not out.is_interactive:
-        return lambda stage, done, total: err.print(f"{stage}: {done} of {total}", soft_wrap=True)
+        return lambda stage, done, total: err.print(f"{stage}: {done} of {total}")
     bars = stack.enter_context(progress())
     bar_of: dict[str, Any] = {}
 
@@ -304,7 +304,7 @@ def _show(results: Results, page: Path | None, bounds: Path | None, *, as_json: 
         return
     for table in tables_with_gap(results, known):
         if not out.is_terminal:
-            out.print(f"\n{table.title}", soft_wrap=True)
+            out.print(f"\n{table.title}")
         show(table.title, table.columns, table.rows, right=table.columns[1:], wrap=table.columns[:1])
     if page is not None:
-        out.print(f"page: {page}", soft_wrap=True)
+        out.print(f"page: {page}")

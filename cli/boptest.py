@@ -70,7 +70,7 @@ def _serve(server: BoptestServer, testcase: str | None, clients: Clients) -> Non
             if clients.is_restricted
             else ("no authentication: whoever reaches this address can use it")
         )
-        out.print(f"ready: {server.url}{single}; {access}; press Ctrl-C to stop", soft_wrap=True)
+        out.print(f"ready: {server.url}{single}; {access}; press Ctrl-C to stop")
         server.run()
     counts = server.service.counts
     rejected = sum(count for status, count in counts.items() if status >= 400)

@@ -94,7 +94,7 @@ def _improve(job: BoundTask, simulations: int, search_seed: int) -> Bound:
     if not out.is_interactive:
 
         def tell(done: int, reward: float) -> None:
-            err.print(f"{name}: {done} of {simulations} simulations, {reward:.2f}", soft_wrap=True)
+            err.print(f"{name}: {done} of {simulations} simulations, {reward:.2f}")
 
         return improve_bound(job, simulations, search_seed=search_seed, progress=tell)
     with progress() as bars:
@@ -114,7 +114,7 @@ def _check(folder: Path, set_name: str, keys: Sequence[Any], hashes: dict[str, s
     if not chosen:
         raise InvalidConfig(f"{folder} has no bounds of the chosen tasks")
     end_with_failures([change for bound in chosen for change in check_bound(bound, set_name, hashes)])
-    out.print(f"{folder}: bounds that are equal to the bit: {len(chosen)}", soft_wrap=True)
+    out.print(f"{folder}: bounds that are equal to the bit: {len(chosen)}")
 
 
 def _show(bounds_of_tasks: Sequence[Bound]) -> None:

@@ -57,7 +57,7 @@ def calibrate(
             bars.update(bar, completed=max(number + 1, ended))
             if not as_json:
                 count = f"[{number + 1}/{config.total}] " if bars.disable else ""
-                out.print(f"{count}{_line(number, values, result)}", soft_wrap=True)
+                out.print(f"{count}{_line(number, values, result)}")
 
         result = run(config, data, runs, on_result)
         bars.update(bar, completed=config.total)
@@ -67,7 +67,7 @@ def calibrate(
         return
     _show(result)
     for path in files:
-        out.print(str(path), soft_wrap=True)
+        out.print(str(path))
 
 
 def prepare(
@@ -167,4 +167,4 @@ def _show(result: CalibrationResult) -> None:
     columns, rows = parameter_rows(result)
     show("Parameters", columns, rows, right=columns[1:-1], wrap=columns[-1:])
     states = ", ".join(f"{count} {state}" for state, count in result.states.items())
-    err.print(f"trials: {states}", soft_wrap=True)
+    err.print(f"trials: {states}")

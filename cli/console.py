@@ -25,7 +25,7 @@ from zenostat.topics.typing_compat import override
 
 
 class _PlainConsole(Console):
-    """A console on which texts are plain.
+    """A console on which texts are plain, and only the terminal breaks their lines.
 
     Attributes:
         is_json: whether it prints a JSON object for each text, in a line.
@@ -37,6 +37,8 @@ class _PlainConsole(Console):
 
     @override
     def print(self, *objects: Any, **options: Any) -> None:
+        if all(isinstance(each, str) for each in objects):
+            options.setdefault("soft_wrap", True)
         if not self.is_json:
             super().print(*objects, **options)
             return
@@ -82,7 +84,7 @@ def warnings_printed() -> Iterator[None]:
         warnings.simplefilter("always")
         yield
     for warning in caught:
-        err.print(str(warning.message), soft_wrap=True)
+        err.print(str(warning.message))
 
 
 def log_as_json() -> None:
@@ -96,7 +98,7 @@ def print_error(text: str) -> None:
         err.entry("error", text)
         return
     err.print("error:", style="bold red", end=" ")
-    err.print(text, soft_wrap=True)
+    err.print(text)
 
 
 @contextmanager

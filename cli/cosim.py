@@ -120,24 +120,24 @@ def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool, once: bool) ->
         with err.status(f"checking {config.district}"):
             checked.check()
         for warning in checked.warnings:
-            out.print(f"warning: {warning}", style="yellow", soft_wrap=True)
-        out.print(f"{config.district}: plants, connections, units and timesteps fit", soft_wrap=True)
+            out.print(f"warning: {warning}", style="yellow")
+        out.print(f"{config.district}: plants, connections, units and timesteps fit")
         return
     with progress() as bars, ExitStack() as stack:
         watch = _Watch(ProgressBar(bars, config.name or config.district.stem), once=once)
-        print_line = partial(bars.console.print, soft_wrap=True)
+        print_line = bars.console.print
         create = partial(district_node, observer=watch, program=True, check_reward=check_reward)
         node = start(stack, config, create, is_endpoint_explicit=is_endpoint_explicit, print_line=print_line)
         bars.console.print(greeting(node, ", ".join(node.settings.listen or node.settings.connect)))
         exposed = exposure(node.settings.listen, config.keys)
         for warning in filter(None, (*node.manifest.warnings, exposed, node.certificate_warning)):
-            bars.console.print(f"warning: {warning}", style="yellow", soft_wrap=True)
+            bars.console.print(f"warning: {warning}", style="yellow")
         node.serve()
         plant: DistrictPlant = node.plant  # type: ignore[assignment]
         failure, elapsed_s = node.server.failure, node.exchange.step[0] * node.manifest.step_s
     show_balances(plant, elapsed_s)
     if failure:
-        err.print(failure, soft_wrap=True)
+        err.print(failure)
         raise typer.Exit(1)
 
 

@@ -48,10 +48,9 @@ def convert(source: Path, target: Path, loops: Loops, *, overwrite: bool) -> Non
     target.write_text(dump(district(structure, folder.name, loops, source.name)), encoding="utf-8")
     read_district(target)
     for note in structure.notes:
-        err.print(f"note: {note}", style="yellow", soft_wrap=True)
+        err.print(f"note: {note}", style="yellow")
     plants, links = len(structure.components), len(structure.links)
-    out.print(f"{target}: FMUs: {plants}, connections: {links}; check it with: zenostat cosim {target} --check",
-              soft_wrap=True)  # fmt: skip
+    out.print(f"{target}: FMUs: {plants}, connections: {links}; check it with: zenostat cosim {target} --check")
 
 
 def _check_target(target: Path, folder: Path, *, overwrite: bool) -> None:

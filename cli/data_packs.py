@@ -45,11 +45,11 @@ def add(name: Annotated[str, typer.Argument(help="Name of the pack.", metavar="N
     """
     pack = data_packs.find_pack(name)
     if data_packs.is_installed(name):
-        out.print(f"{name} {pack.version} is already installed in {data_packs.folder(name)}", soft_wrap=True)
+        out.print(f"{name} {pack.version} is already installed in {data_packs.folder(name)}")
         return
     with err.status(f"adding {name}") as status:
         folder = data_packs.add(name, report=status.update)
-    out.print(f"{name} {pack.version} installed in {folder}: {_contents(pack)}", soft_wrap=True)
+    out.print(f"{name} {pack.version} installed in {folder}: {_contents(pack)}")
 
 
 @app.command()

@@ -74,6 +74,6 @@ def dataset(
             parameters=read_parameters(parameters or []), folder=folder, author=author, description=description,
             progress=watcher(stack, episodes),
         )  # fmt: skip
-    out.print(f"data set {dataset_id}: {path}", soft_wrap=True)
+    out.print(f"data set {dataset_id}: {path}")
     setting = f"MINARI_DATASETS_PATH={folder.absolute()} " if folder is not None else ""
-    out.print(f"{setting}python -c \"import minari; print(minari.load_dataset('{dataset_id}'))\"", soft_wrap=True)
+    out.print(f"{setting}python -c \"import minari; print(minari.load_dataset('{dataset_id}'))\"")

@@ -96,11 +96,11 @@ def demo(
         monitor_lines = remaining_lines(monitor)
     show_results(results, f"{building}, {weather}, {begin} to {end}")
     for line in monitor_lines:
-        out.print(f"monitor: {line}", soft_wrap=True)
+        out.print(f"monitor: {line}")
     if not has_vulkan():
-        out.print(f"no screenshot: {NO_VULKAN}", soft_wrap=True)
+        out.print(f"no screenshot: {NO_VULKAN}")
     for line in notes:
-        out.print(f"report: {line}", soft_wrap=True)
+        out.print(f"report: {line}")
     files = {"recording": recording, "report": report, "screenshot": screenshot}
     text = ", ".join(f"{name}: {path}" for name, path in files.items() if path.exists())
-    out.print(text, soft_wrap=True)
+    out.print(text)

@@ -72,17 +72,17 @@ def demo_district(folder: Path) -> None:
     show_kpis({title: district_kpis(run, points) for title, run in trajectories.items()})
     with out.status("verifying the recording: all plants are simulated again"):
         result = verify_district(recording, file)
-    out.print(f"recording: {result}", soft_wrap=True)
+    out.print(f"recording: {result}")
     for line in lines:
-        out.print(f"monitor: {line}", soft_wrap=True)
+        out.print(f"monitor: {line}")
     if not has_vulkan():
-        out.print(f"no screenshot: {NO_VULKAN}", soft_wrap=True)
+        out.print(f"no screenshot: {NO_VULKAN}")
     for line in notes:
-        out.print(f"report: {line}", soft_wrap=True)
+        out.print(f"report: {line}")
     files = {"district": file, "recording": recording, "live view": live, "report": report}
     files |= {"picture": picture, "screenshot": live_picture}
     text = ", ".join(f"{name}: {path}" for name, path in files.items() if path.exists())
-    out.print(text, soft_wrap=True)
+    out.print(text)
     if not result.passed:
         raise typer.Exit(1)
 

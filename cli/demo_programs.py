@@ -41,7 +41,7 @@ def start_program(*arguments: object, wait: bool = False) -> subprocess.Popen[st
         for line in process.stdout:
             if "Ctrl-C" in line:  # connected
                 break
-            out.print(line.rstrip(), soft_wrap=True)
+            out.print(line.rstrip())
     return process
 
 

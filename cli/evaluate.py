@@ -91,13 +91,13 @@ def evaluate(
     if outputs.wanted:
         outputs.write(evaluation.comparison(command_line()))
     for name, reason in evaluation.unfit.items():
-        err.print(f"{name} is skipped: {reason}", soft_wrap=True)
+        err.print(f"{name} is skipped: {reason}")
     if as_json:
         show_json(evaluation.table())
         return
     _show(evaluation, f"{scenario}, {counted(episodes, 'episode')} each, seed {seed}")
     if file is not None:
-        out.print(f"episodes: {file}", soft_wrap=True)
+        out.print(f"episodes: {file}")
     outputs.show()
 
 
@@ -132,9 +132,9 @@ def _show(evaluation: Evaluation, title: str) -> None:
             notes.setdefault(evaluation.sources[name], []).append(_label(name))
     if any(metric.count > 1 for metrics in summary.values() for metric in metrics.values()):
         has_interval = any(metric.interval for metrics in summary.values() for metric in metrics.values())
-        out.print(INTERVAL_NOTE if has_interval else "Means over the episodes; intervals need SciPy.", soft_wrap=True)
+        out.print(INTERVAL_NOTE if has_interval else "Means over the episodes; intervals need SciPy.")
     for source, labels in notes.items():
-        out.print(f"{', '.join(labels)}: {source}", soft_wrap=True)
+        out.print(f"{', '.join(labels)}: {source}")
 
 
 def _is_shown(name: str, summary: Mapping[str, Mapping[str, MetricSummary]]) -> bool:

@@ -57,7 +57,7 @@ def export(
         text = f"{counted(_write_rrd(file, path), 'sample', ',')}; open it with: zenostat view {path}"
     else:
         text = f"{_write_table(file, to, path):,} {'samples' if to is Format.MCAP else 'rows'}"
-    out.print(f"{path}: {text}", soft_wrap=True)
+    out.print(f"{path}: {text}")
 
 
 def _write_rrd(file: Path, path: Path) -> int:
@@ -72,9 +72,9 @@ def _write_rrd(file: Path, path: Path) -> int:
     with RecordingReader(file) as reader:
         count = write_rrd(reader, path, comfort=display_comfort, reward=reward_terms)
         if reader.end.text:
-            err.print(f"{file}: {reader.end.text}", soft_wrap=True)
+            err.print(f"{file}: {reader.end.text}")
         if reader.manifest.slots > 1:
-            err.print("slot 0 is shown, as in the monitor", soft_wrap=True)
+            err.print("slot 0 is shown, as in the monitor")
     return count
 
 
@@ -90,6 +90,6 @@ def _write_table(file: Path, to: Format, path: Path) -> int:
     }
     if to is not Format.MCAP:  # whose metadata has the names
         for name, point in loaded.episodes[0].renamed.items() if loaded.episodes else ():
-            err.print(f"{point} is in the column {name}: the name is in use", soft_wrap=True)
+            err.print(f"{point} is in the column {name}: the name is in use")
     writers[to](loaded, path)
     return sum(len(episode) for episode in loaded.episodes)

@@ -25,7 +25,7 @@ def print_failure(error: Exception) -> int:
     frames = user_frames(error)
     if frames:
         err.print("Traceback (most recent call last):")
-        err.print("".join(traceback.format_list(frames)).rstrip(), soft_wrap=True)
+        err.print("".join(traceback.format_list(frames)).rstrip())
     if isinstance(error, ZenostatError):
         print_error(str(error))
         return 2 if isinstance(error, UsageError) else 1

@@ -95,9 +95,7 @@ def zeromq(
             ):
                 addresses = f"samples on {running.publish}, requests on {running.command}"
                 may = f"; {clients.description}" if clients.is_restricted else ""
-                out.print(
-                    f"ready: {served} of {options.endpoint}; {addresses}{may}; press Ctrl-C to stop", soft_wrap=True
-                )
+                out.print(f"ready: {served} of {options.endpoint}; {addresses}{may}; press Ctrl-C to stop")
                 running.run()
             break
         except NodeNotFound as error:
@@ -121,7 +119,7 @@ class _Waiting:
             raise error
         if str(error) != self._reason:
             self._reason = str(error)
-            out.print(f"{error}; waiting for it, press Ctrl-C to stop", soft_wrap=True)
+            out.print(f"{error}; waiting for it, press Ctrl-C to stop")
 
 
 class NodeGateway(Protocol):
@@ -227,13 +225,13 @@ async def _serve(
             client.listeners.presence.append(
                 lambda is_online: out.print(f"{node}: {'on the bus again' if is_online else gone}")
             )
-            out.print(f"ready: {running.description}; press Ctrl-C to stop", soft_wrap=True)
+            out.print(f"ready: {running.description}; press Ctrl-C to stop")
             stack.enter_context(reported(asyncio.get_running_loop().call_soon_threadsafe))
             serving = asyncio.create_task(running.run())
             if await _ends_before(serving, stopped):
                 await serving  # it has failed
         missed = f"; {counted(client.counts.missed, 'message')} of the node missed" if client.counts.missed else ""
-        out.print(running.summary() + missed, soft_wrap=True)
+        out.print(running.summary() + missed)
     return 0
 
 
@@ -279,10 +277,10 @@ async def _relinquish(client: NodeClient) -> None:
         return
     except (ZenostatError, TimeoutError) as error:
         reason = str(error) or f"node {client.name!r} does not answer"
-        err.print(f"commands through this gateway are not relinquished: {reason}", soft_wrap=True)
+        err.print(f"commands through this gateway are not relinquished: {reason}")
         return
     if done.count:
         out.print(f"relinquished {counted(done.count, 'command')} of this gateway")
     for command, reason in done.rejected.items():
         remains = f"{command.actuator} at priority {command.priority}, written as {command.source}"
-        err.print(f"a command through this gateway remains in force: {remains}: {reason}", soft_wrap=True)
+        err.print(f"a command through this gateway remains in force: {remains}: {reason}")

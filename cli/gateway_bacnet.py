@@ -60,10 +60,7 @@ def bacnet(
     interface = find_interface(*parse_address(address, "BACnet/IP", expose=expose, default_port=DEFAULT_PORT))
     known = clients_of(clients, allow, is_exposed=not interface.address.ip.is_loopback)
     if not known.is_read_only:
-        err.print(
-            f"BACnet/IP has no authentication: whoever reaches {interface.address.ip} can command {node}",
-            soft_wrap=True,
-        )
+        err.print(f"BACnet/IP has no authentication: whoever reaches {interface.address.ip} can command {node}")
     serve(
         node,
         lambda client: BacnetGateway(
@@ -107,4 +104,4 @@ def _write_objects(node: str, number: int, file: Path, options: BusOptions) -> N
                 table.writerow((*names, spec.low, spec.high, spec.description))
     except OSError as error:
         raise InvalidConfig(f"--objects {file}: {error.strerror}") from None
-    out.print(f"objects of {node}: {file} ({counted(len(fixed) + len(points), 'object')})", soft_wrap=True)
+    out.print(f"objects of {node}: {file} ({counted(len(fixed) + len(points), 'object')})")

@@ -36,12 +36,11 @@ def clients_of(
     if clients.is_read_only:
         err.print(
             "read-only: no client may write; name clients in a file (--clients) and what each may write, or permit "
-            "everything to all of them with --allow '*=*'",
-            soft_wrap=True,
+            "everything to all of them with --allow '*=*'"
         )
     return clients
 
 
 def notify(text: str) -> None:
     """Print a line for the operator."""
-    err.print(text, soft_wrap=True)
+    err.print(text)

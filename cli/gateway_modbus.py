@@ -89,4 +89,4 @@ def _write_map(node: str, file: Path, options: BusOptions) -> None:
         file.write_text(registers.csv() if file.suffix == ".csv" else registers.markdown(), encoding="utf-8")
     except OSError as error:
         raise InvalidConfig(f"--map {file}: {error.strerror}") from None
-    out.print(f"map of {node}: {file} ({counted(len(registers.entries), 'entry')})", soft_wrap=True)
+    out.print(f"map of {node}: {file} ({counted(len(registers.entries), 'entry')})")

@@ -51,7 +51,7 @@ def init(
     out.print(
         f"Written to {folder}. Each program needs {AUTHORITY}.pem and its own .pem and .key; nodes and routers also "
         "names.json, the list of names and roles. "
-        f"Keep {AUTHORITY}.key private: it can sign new certificates.",
+        f"Keep {AUTHORITY}.key private: it can sign new certificates."
     )
 
 
@@ -81,7 +81,7 @@ def add(
             raise UnknownName(f"no role {text!r}; {did_you_mean(text, CERTIFIED)}")
     roles = [Role(text) for text in role]
     out.print(_table([add(folder, roles, name, hosts=host or (), days=days, force=force)]))
-    out.print(f"Copy {folder / NAMES} to all nodes and routers, and start them again.", soft_wrap=True)
+    out.print(f"Copy {folder / NAMES} to all nodes and routers, and start them again.")
 
 
 @app.command()
@@ -102,7 +102,7 @@ def revoke(
     """
     if node is not None:
         with options.open_bus(Role.OPERATOR) as bus:
-            out.print(f"{node}: {bus.revoke(node, name, source=person()).text}", soft_wrap=True)
+            out.print(f"{node}: {bus.revoke(node, name, source=person()).text}")
         return
     if options != DEFAULTS:
         raise InvalidConfig("--connect, --keys and --certificate are for --node; --folder names the folder of keys")
@@ -115,9 +115,9 @@ def revoke(
         raise UnknownName(f"no name {name!r} in {folder}; {did_you_mean(name, known)}")
     write_revoked(folder, name)
     if Role.NODE in known[name]:
-        out.print(f"What connects through the node or router {name} has no bus any more.", soft_wrap=True)
+        out.print(f"What connects through the node or router {name} has no bus any more.")
     text = f"{name} is revoked in {folder / REVOKED}; copy the file to the folders of all other nodes and routers."
-    out.print(text, soft_wrap=True)
+    out.print(text)
 
 
 @app.command()

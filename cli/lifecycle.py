@@ -31,7 +31,7 @@ def reset(
         ack = bus.reset(node, Reset(controller=person(), seed=seed))
     weathers = dict.fromkeys(start.weather for start in ack.episode_starts if start.weather)
     text = ", ".join((f"{node}: episode {ack.episode[0]}", counted(steps, "timestep"), *weathers))
-    out.print(text, soft_wrap=True)
+    out.print(text)
 
 
 @on_bus

@@ -100,7 +100,7 @@ def mcp(
             return
         http = stack.enter_context(HttpToolServer(server, address, token))
         stack.enter_context(override_signals(lambda *_: http.stop(), *TERMINATION_SIGNALS))
-        out.print(f"ready: {http.url}", soft_wrap=True)
+        out.print(f"ready: {http.url}")
         where = f"in {token_file}" if token_file is not None else token
-        out.print(f"Clients send the token as a bearer token: {where}", soft_wrap=True)
+        out.print(f"Clients send the token as a bearer token: {where}")
         http.run()

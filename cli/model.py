@@ -197,7 +197,7 @@ def _write_text(file: Path, text: str, content: str) -> None:
 
     with atomic_file(file) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    err.print(f"semantic model: {file} ({content})", soft_wrap=True)
+    err.print(f"semantic model: {file} ({content})")
 
 
 def _show_unreadable(entry: Entry, error: ZenostatError, *, as_json: bool) -> None:
@@ -212,9 +212,9 @@ def _show_unreadable(entry: Entry, error: ZenostatError, *, as_json: bool) -> No
     else:
         out.print(entry.name, style="bold")
         for term, text in (("File", str(entry.path)), (_VERSION, version or "none given")):
-            out.print(f"{term}: {text}", soft_wrap=True)
+            out.print(f"{term}: {text}")
         for each in diagnostics:
-            out.print(f"{each.severity}: {each}", soft_wrap=True)
+            out.print(f"{each.severity}: {each}")
     _count_errors(str(entry.path), diagnostics)
 
 
@@ -305,9 +305,9 @@ def _show(description: ModelDescription) -> None:
     out.print(description.name, style="bold")
     for term, text in _facts(description):
         if text:
-            out.print(f"{term}: {text}", soft_wrap=True)
+            out.print(f"{term}: {text}")
     for note in _notes(description):
-        out.print(note, soft_wrap=True)
+        out.print(note)
     for title, systems in (("Air loops", description.air_loops), ("Plant loops", description.plant_loops)):
         if systems:
             out.print(f"\n{title}", style="bold")
@@ -333,7 +333,7 @@ def _show_system(system: System, depth: int) -> None:
 
 
 def _line(text: str, depth: int) -> None:
-    out.print(f"{'  ' * depth}{text}", soft_wrap=True)
+    out.print(f"{'  ' * depth}{text}")
 
 
 def _write_page(description: ModelDescription, path: Path) -> None:
@@ -354,4 +354,4 @@ def _write_page(description: ModelDescription, path: Path) -> None:
     )
     with atomic_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    out.print(f"page: {path}", soft_wrap=True)
+    out.print(f"page: {path}")

@@ -68,4 +68,4 @@ def _show(upgraded: UpgradedModel, output: Path | None) -> None:
         show("", ("step", "type", "objects", "change"), rows, right=("objects",), wrap=("type", "change"))
     out.print(upgraded.summary.partition(" (`")[0] or f"the model is for EnergyPlus {upgraded.after} already")
     if output is not None:
-        out.print(f"written to {output}", soft_wrap=True)
+        out.print(f"written to {output}")

@@ -58,10 +58,10 @@ def monitor(
             recording = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="zenostat-"))) / "run.rrd"
         samples = _stream(node, BusOptions(connect, keys, certificate), recording, web=web, once=once)
         if save is not None and samples is not None:
-            out.print(f"recording: {save}; open it with: {how_to_open(save)}", soft_wrap=True)
+            out.print(f"recording: {save}; open it with: {how_to_open(save)}")
         if request is not None and recording is not None and samples:
             draw(recording, request)
-            out.print(f"screenshot: {request.path}", soft_wrap=True)
+            out.print(f"screenshot: {request.path}")
         elif request is not None and samples == 0:
             raise ViewerError(f"no screenshot was written to {request.path}: the monitor received no samples")
 
@@ -79,10 +79,7 @@ def _stream(node: str, options: BusOptions, recording: Path | None, *, web: bool
         session = stack.enter_context(options.open_session(Role.MONITOR, wait=True))
         affinity.lower_priority()
         with open_stream(session, node, sinks, is_live=recording is None or len(sinks) > 1) as stream:
-            out.print(
-                f"connected to {options.endpoint}{_missing_note(session, node)}; press Ctrl-C to stop",
-                soft_wrap=True,
-            )
+            out.print(f"connected to {options.endpoint}{_missing_note(session, node)}; press Ctrl-C to stop")
             stream.run(until=lambda: stop.is_set() or (once and stream.left))
         out.print(f"{counted(stream.samples, 'sample')} logged, {stream.missed} missed")
         return stream.samples
@@ -109,7 +106,7 @@ def _wait_for_bus(options: BusOptions, stop: threading.Event) -> bool:
                 return True
         except NodeNotFound as error:
             if not is_announced:
-                out.print(f"{error}; waiting for it, press Ctrl-C to stop", soft_wrap=True)
+                out.print(f"{error}; waiting for it, press Ctrl-C to stop")
             is_announced = True
             stop.wait(_PAUSE_S)
     return False
@@ -125,7 +122,7 @@ def _sinks(stack: ExitStack, recording: Path | None, web: bool) -> list[Any]:
         sinks.append(rr.FileSink(str(recording)))
     if web:
         page, url = stack.enter_context(web_viewer())
-        out.print(f"viewer: {page}", soft_wrap=True)
+        out.print(f"viewer: {page}")
         sinks.append(rr.GrpcSink(url))
     if not sinks:
         if not has_display():

@@ -46,7 +46,7 @@ def open_stream(session: zenoh.Session, node: str, sinks: Iterable[Any], *, is_l
     from zenostat.views.live.stream import RerunStream
 
     def notify(text: str) -> None:
-        err.print(f"warning: {text}", style="yellow", soft_wrap=True)
+        err.print(f"warning: {text}", style="yellow")
 
     return RerunStream(
         session, node, sinks, is_live=is_live, comfort=display_comfort, reward=reward_terms, notify=notify

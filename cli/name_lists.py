@@ -37,6 +37,6 @@ def numbers_in(text: str, option: str) -> list[int]:
 def end_with_failures(texts: Sequence[str], prefix: str = "") -> None:
     """Print errors and end the command with exit code 1; if there are none, do nothing."""
     for text in texts:
-        err.print(f"{prefix}{text}", soft_wrap=True)
+        err.print(f"{prefix}{text}")
     if texts:
         raise typer.Exit(1)

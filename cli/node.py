@@ -206,14 +206,14 @@ def _serve(config: NodeSettings, create: Callable[..., Node], *, is_endpoint_exp
     """Run the node until it ends, with a progress bar, and print its statistics."""
     with progress() as bars, ExitStack() as stack:
         observer = ProgressBar(bars, config.name)
-        print_line = partial(bars.console.print, soft_wrap=True)
+        print_line = bars.console.print
         create = partial(create, observer=observer, program=True)
         running = start(stack, config, create, is_endpoint_explicit=is_endpoint_explicit, print_line=print_line)
         observer.recording = lambda: running.recording
         bars.console.print(greeting(running, ", ".join(running.settings.listen or running.settings.connect)))
         exposed = exposure(running.settings.listen, config.keys)
         for warning in filter(None, (*running.manifest.warnings, exposed, running.certificate_warning)):
-            bars.console.print(f"warning: {warning}", style="yellow", soft_wrap=True)
+            bars.console.print(f"warning: {warning}", style="yellow")
         if running.recording is not None:
             print_line(f"{config.name}: {describe_recording(running.recording)}")
         if out.is_json:
@@ -223,7 +223,7 @@ def _serve(config: NodeSettings, create: Callable[..., Node], *, is_endpoint_exp
     if not out.is_json:
         out.print(statistics)
     if running.recording is not None:
-        out.print(f"{config.name}: {describe_recording(running.recording)}", soft_wrap=True)
+        out.print(f"{config.name}: {describe_recording(running.recording)}")
     out.print(f"{config.name}: ended")
 
 
@@ -319,7 +319,7 @@ class ProgressBar:
             return
         self._stopped = status.path
         text = f"warning: {self._name}: the recording to {status.path} stopped: {status.reason}"
-        self._bars.console.print(text, style="yellow", soft_wrap=True)
+        self._bars.console.print(text, style="yellow")
 
 
 def greeting(node: Node, listen: str) -> str:

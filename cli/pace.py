@@ -120,7 +120,7 @@ def _ask(node: str, options: BusOptions, request: Callable[[Bus], str | None]) -
     parts += [f"step {now.step[0]} of {now.steps}, {now.time[0]}"]
     parts += [f"active faults: {', '.join(now.faults)}"] if now.faults else []
     parts += [note] if note else []
-    out.print("; ".join(parts), soft_wrap=True)
+    out.print("; ".join(parts))
 
 
 def _after_steps(bus: Bus, before: Status, steps: int) -> str:

@@ -91,7 +91,7 @@ def _print_charts(history: History, height: int) -> None:
     from zenostat.cli.chart import COLORS, chart, label_width, scale_of
 
     times, is_colored = _times(history), out.is_terminal and not out.no_color and out.color_system is not None
-    out.print(_title(history, times), soft_wrap=True)
+    out.print(_title(history, times))
     of_unit = {
         unit: [name for name, own in zip(history.points, history.units, strict=True) if own == unit]
         for unit in dict.fromkeys(history.units)
@@ -104,11 +104,11 @@ def _print_charts(history: History, height: int) -> None:
             drawn = [lines[i] for i in panel]
             out.print()
             for i in panel:
-                out.print(Text(_legend(names[i], unit, lines[i]), style=lines[i].color), soft_wrap=True)
+                out.print(Text(_legend(names[i], unit, lines[i]), style=lines[i].color))
             for text in chart(
                 drawn, times, width=out.width, rows=height, scale=scales[unit], margin=margin, is_unicode=is_unicode
             ):
-                out.print(text, soft_wrap=True)
+                out.print(text)
 
 
 def _line(history: History, name: str, color: str) -> Line:

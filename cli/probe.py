@@ -137,7 +137,7 @@ def _show(report: ProbeReport, scenario: str) -> None:
     show(title, columns, rows, right=numbers, wrap=("actuator", "point"))
     for effect in report.effects:
         for text in _notes(effect):
-            out.print(text, soft_wrap=True)
+            out.print(text)
 
 
 def _rows(effect: Effect) -> Iterator[tuple[str, ...]]:

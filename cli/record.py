@@ -46,7 +46,7 @@ def record(
             if not file.is_absolute() and bus.manifest(node).host != host():
                 raise InvalidConfig(f"--out {file}: the node runs on another machine; name an absolute path there")
             status = bus.record(node, file.absolute(), now=now, overwrite=overwrite, on_full=on_full, source=person())
-    out.print(f"{node}: {describe_recording(status)}", soft_wrap=True)
+    out.print(f"{node}: {describe_recording(status)}")
 
 
 def describe_recording(status: RecordingStatus) -> str:

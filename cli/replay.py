@@ -107,7 +107,7 @@ def replay(
         bars = stack.enter_context(progress())
         task = bars.add_task(f"replaying {file.name} as {replayed.manifest.node}", total=reader.manifest.steps, rate="")
         count = replayed.run(stop, lambda time, step: bars.update(task, completed=step, rate=time))
-    out.print(f"{replayed.manifest.node}: replayed {counted(count, 'sample', ',')}", soft_wrap=True)
+    out.print(f"{replayed.manifest.node}: replayed {counted(count, 'sample', ',')}")
 
 
 def _drive(file: Path, node: str, options: BusOptions, name: str, priority: int | None, speed: float | None) -> None:
@@ -121,9 +121,9 @@ def _drive(file: Path, node: str, options: BusOptions, name: str, priority: int 
             progress=lambda time, step: bars.update(task, completed=step, rate=time),
         )  # fmt: skip
     for text in result.skipped:
-        err.print(f"not replayed: {text}", soft_wrap=True)
+        err.print(f"not replayed: {text}")
     episodes = counted(result.episodes, "episode")
-    out.print(f"{node}: {counted(result.steps, 'step', ',')} of {episodes} commanded", soft_wrap=True)
+    out.print(f"{node}: {counted(result.steps, 'step', ',')} of {episodes} commanded")
 
 
 def _moment(text: str | None, option: str, first: datetime, last: datetime) -> datetime | None:

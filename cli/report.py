@@ -72,5 +72,5 @@ def _evaluate_training(folder: Path, prices: Mapping[str, Rate], emissions: Mapp
         seed=settings.seed, prices=prices, emissions=emissions, trace=True,
     )  # fmt: skip
     for name, reason in evaluation.unfit.items():
-        err.print(f"{name} is skipped: {reason}", soft_wrap=True)
+        err.print(f"{name} is skipped: {reason}")
     return evaluation.comparison(command_line())

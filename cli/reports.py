@@ -55,7 +55,7 @@ class ReportOutputs:
         """Print the paths."""
         for name, path in (("report", self.report), ("figures", self.figures)):
             if path is not None:
-                out.print(f"{name}: {path}", soft_wrap=True)
+                out.print(f"{name}: {path}")
 
 
 def command_line() -> str:

@@ -108,8 +108,8 @@ def room(
         ) as server,
         override_signals(lambda *_: server.stop(), *TERMINATION_SIGNALS),
     ):
-        out.print(f"ready: {server.link}", soft_wrap=True)
-        out.print("The link signs one browser in, once; press Ctrl-C to stop.", soft_wrap=True)
+        out.print(f"ready: {server.link}")
+        out.print("The link signs one browser in, once; press Ctrl-C to stop.")
         bus.via = "http"
         server.run()
 

@@ -101,7 +101,7 @@ def run(
     lost = sum(result.lost for result, _ in results.values())
     if lost:
         text = f"{counted(lost, 'sample', ',')} of {node} were lost; the totals lack their timesteps"
-        err.print(f"{text}: the controller is slower than the node", soft_wrap=True)
+        err.print(f"{text}: the controller is slower than the node")
     outputs.show()
 
 

@@ -70,10 +70,10 @@ def train(
         )
     if not result.finished:
         again = f"zenostat train {result.folder} --resume"
-        out.print(f"stopped; checkpoint at step {result.step:,}; continue with: {again}", soft_wrap=True)
+        out.print(f"stopped; checkpoint at step {result.step:,}; continue with: {again}")
         raise typer.Exit(128 + received[0])
     best = "" if result.best_reward is None else f", best evaluation {result.best_reward:,.2f}"
-    out.print(f"{result.folder}: {counted(result.step, 'step', ',')}{best}", soft_wrap=True)
+    out.print(f"{result.folder}: {counted(result.step, 'step', ',')}{best}")
 
 
 def _read(file: Path | None, options: dict[str, Any], texts: Sequence[str], resume: bool) -> TrainingConfig:
@@ -151,9 +151,9 @@ def _watcher(bars: Any) -> Callable[[TrainingStatus], None]:
 def _print_evaluation(step: int, results: tuple[EpisodeMetrics, ...]) -> None:
     rewards = [result.reward for result in results if result.reward is not None]
     if rewards:
-        out.print(f"step {step:,}: evaluation {sum(rewards) / len(rewards):,.2f}", soft_wrap=True)
+        out.print(f"step {step:,}: evaluation {sum(rewards) / len(rewards):,.2f}")
 
 
 def _print_references(rewards: dict[str, float]) -> None:
     for name, reward in rewards.items():
-        out.print(f"{name}: {reward:,.2f} in the evaluation episodes", soft_wrap=True)
+        out.print(f"{name}: {reward:,.2f} in the evaluation episodes")

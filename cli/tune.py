@@ -56,7 +56,7 @@ def tune(
         def show_trial(trial: Any) -> None:
             bars.update(bar, completed=tuning.ended())
             count = f"[{tuning.ended()}/{tuning.total()}] " if bars.disable else ""
-            out.print(f"{count}{_line(trial)}", soft_wrap=True)
+            out.print(f"{count}{_line(trial)}")
 
         tuning = Tuning(config, show_trial)
         bars.update(bar, completed=tuning.ended(), total=tuning.total())
@@ -66,9 +66,9 @@ def tune(
     _show(config, tuning.study)
     best = tuning.write_best()
     for path in (*write_results(tuning.study, config), *([best] if best else [])):
-        out.print(str(path), soft_wrap=True)
+        out.print(str(path))
     if not is_finished:
-        out.print("stopped; the same command continues the study", soft_wrap=True)
+        out.print("stopped; the same command continues the study")
         raise typer.Exit(128 + received[0])
 
 

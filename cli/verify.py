@@ -109,7 +109,7 @@ def _check_audit(file: Path, *, as_json: bool) -> None:
         passed = not (result.problems or end.is_damaged)
         show_json({"passed": passed, "audit": _audit_json(result), "end": end.text})
     else:
-        out.print(f"{result}{f'; {end.text}' if end.text else ''}", soft_wrap=True)
+        out.print(f"{result}{f'; {end.text}' if end.text else ''}")
     if result.problems or end.is_damaged:
         raise typer.Exit(1)
 
@@ -136,13 +136,13 @@ def _bar(stack: ExitStack, file: Path) -> Callable[[int, int], None]:
 
 def _show(result: Verification) -> None:
     for note in (*result.notes, *(f"not verified: {text}" for text in result.skipped)):
-        err.print(note, soft_wrap=True)
+        err.print(note)
     if result.tolerance is not None:
         rows = [(name, f"{value:.6g}") for name, value in result.greatest.items() if value > 0.0]
         if rows:
             show("greatest differences", ("point", "difference"), rows, right=("difference",))
-    out.print(str(result.audit), soft_wrap=True)
-    out.print(str(result), soft_wrap=True)
+    out.print(str(result.audit))
+    out.print(str(result))
 
 
 def _json(result: Verification) -> dict[str, object]:

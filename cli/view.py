@@ -51,10 +51,10 @@ def view(
     request = screenshot_request(screenshot, at, size, tab)
     if request is not None:
         draw(recording, request)
-        out.print(f"screenshot: {request.path}", soft_wrap=True)
+        out.print(f"screenshot: {request.path}")
     elif web:
         with readable(recording) as path, until_signal() as stop, web_viewer(path) as (page, _):
-            out.print(f"viewer: {page}; press Ctrl-C to stop", soft_wrap=True)
+            out.print(f"viewer: {page}; press Ctrl-C to stop")
             stop.wait()
     else:
         window(recording)

@@ -43,7 +43,7 @@ def write(
     duration_s = None if duration is None else seconds(duration)
     with options.open_bus(Role.OPERATOR) as bus:
         ack = bus.write(node, point, value, priority=priority, duration_s=duration_s, source=source or person())
-    out.print(f"{node}: {ack.text}" + (f" for {duration}" if duration else ""), soft_wrap=True)
+    out.print(f"{node}: {ack.text}" + (f" for {duration}" if duration else ""))
 
 
 @on_bus
@@ -60,7 +60,7 @@ def relinquish(
     """
     with options.open_bus(Role.OPERATOR) as bus:
         ack = bus.write(node, point, None, priority=priority, source=source or person())
-    out.print(f"{node}: {ack.text}", soft_wrap=True)
+    out.print(f"{node}: {ack.text}")
 
 
 def seconds(text: str) -> float:

@@ -70,6 +70,12 @@ def test_monitor__without_a_display_names_the_alternatives(scratch: Path, monkey
     assert "--web, --save FILE.rrd or --screenshot FILE.png" in error_of("monitor", cwd=scratch)
 
 
+def test_texts__are_in_one_line_however_narrow_the_output(scratch: Path) -> None:
+    printed = output_of("keys", "init", "keys", cwd=scratch, columns=40).splitlines()
+    assert printed[-1].startswith("Written to keys.")
+    assert printed[-1].endswith("it can sign new certificates.")
+
+
 @pytest.mark.slow
 def test_points__have_units_and_bounds() -> None:
     done = run_program("points", "ref-small-office", "--match", "core_zn", "--json")
