@@ -44,9 +44,14 @@ class _PlainConsole(Console):
             return
         with self.capture() as printed:
             super().print(*objects, **(options | {"style": None, "soft_wrap": True}))
-        text = printed.get().strip()
-        level = "warning" if text.startswith("warning: ") or "yellow" in str(options.get("style")) else "info"
-        self.entry(level, text.removeprefix("warning: "))
+        self.entry("info", printed.get().strip())
+
+    def warning(self, text: str) -> None:
+        """Print a warning."""
+        if self.is_json:
+            self.entry("warning", text)
+        else:
+            self.print(f"warning: {text}", style="yellow")
 
     def entry(self, level: str, message: str, **fields: Any) -> None:
         """Print an entry of a log: time, level and message, and further fields without those that are empty."""

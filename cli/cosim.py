@@ -120,7 +120,7 @@ def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool, once: bool) ->
         with err.status(f"checking {config.district}"):
             checked.check()
         for warning in checked.warnings:
-            out.print(f"warning: {warning}", style="yellow")
+            out.warning(warning)
         out.print(f"{config.district}: plants, connections, units and timesteps fit")
         return
     with progress() as bars, ExitStack() as stack:
@@ -131,7 +131,7 @@ def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool, once: bool) ->
         bars.console.print(greeting(node, ", ".join(node.settings.listen or node.settings.connect)))
         exposed = exposure(node.settings.listen, config.keys)
         for warning in filter(None, (*node.manifest.warnings, exposed, node.certificate_warning)):
-            bars.console.print(f"warning: {warning}", style="yellow")
+            out.warning(warning)
         node.serve()
         plant: DistrictPlant = node.plant  # type: ignore[assignment]
         failure, elapsed_s = node.server.failure, node.exchange.step[0] * node.manifest.step_s

@@ -45,9 +45,6 @@ def open_stream(session: zenoh.Session, node: str, sinks: Iterable[Any], *, is_l
     from zenostat.metrics.reward_comfort import display_comfort
     from zenostat.views.live.stream import RerunStream
 
-    def notify(text: str) -> None:
-        err.print(f"warning: {text}", style="yellow")
-
     return RerunStream(
-        session, node, sinks, is_live=is_live, comfort=display_comfort, reward=reward_terms, notify=notify
+        session, node, sinks, is_live=is_live, comfort=display_comfort, reward=reward_terms, notify=err.warning
     )

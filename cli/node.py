@@ -213,7 +213,7 @@ def _serve(config: NodeSettings, create: Callable[..., Node], *, is_endpoint_exp
         bars.console.print(greeting(running, ", ".join(running.settings.listen or running.settings.connect)))
         exposed = exposure(running.settings.listen, config.keys)
         for warning in filter(None, (*running.manifest.warnings, exposed, running.certificate_warning)):
-            bars.console.print(f"warning: {warning}", style="yellow")
+            out.warning(warning)
         if running.recording is not None:
             print_line(f"{config.name}: {describe_recording(running.recording)}")
         if out.is_json:
@@ -318,8 +318,7 @@ class ProgressBar:
         if status is None or not status.reason or status.path == self._stopped:
             return
         self._stopped = status.path
-        text = f"warning: {self._name}: the recording to {status.path} stopped: {status.reason}"
-        self._bars.console.print(text, style="yellow")
+        out.warning(f"{self._name}: the recording to {status.path} stopped: {status.reason}")
 
 
 def greeting(node: Node, listen: str) -> str:

@@ -44,7 +44,7 @@ def router(
     )
     with until_signal() as stop, opened as session, ExitStack() as stack:
         for warning in filter(None, (exposure(endpoints, keys), opened.warning)):
-            err.print(f"warning: {warning}", style="yellow")
+            err.warning(warning)
         if (folder := keys_folder(keys)) is not None:
             from zenostat.bridge.transport.deny_list import DenyList
 
@@ -54,7 +54,7 @@ def router(
                 session,
                 timer,
                 lambda names: out.print(f"revoked: {', '.join(sorted(names))}"),
-                lambda error: err.print(f"warning: {error}", style="yellow"),
+                err.warning,
             )
             stack.callback(revoked.close)
         out.print(f"router on {', '.join(endpoints)}; press Ctrl-C to stop")

@@ -138,7 +138,7 @@ def check(file: Annotated[Path, typer.Argument(help="Scenario file.")]) -> None:
         f"{counted(len(points.meters), 'meter')}, {counted(len(planned.task.actions), 'action')}"
     )
     for warning in planned.warnings:
-        out.print(f"warning: {warning}", style="yellow")
+        out.warning(warning)
 
 
 def plan_scenario(settings: Mapping[str, Any]) -> Plan:
