@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.table import Table
 
 from zenostat.cli.console import out
 from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
+from zenostat.cli.tables import show as show_table
 from zenostat.cli.write import person
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 from zenostat.topics.keys import Role
@@ -47,7 +47,7 @@ def init(
     """
     from zenostat.bridge.transport.certificates import AUTHORITY, make
 
-    out.print(_table(make(folder, hosts=host or (), days=days, force=force)))
+    _show(make(folder, hosts=host or (), days=days, force=force))
     out.print(
         f"Written to {folder}. Each program needs {AUTHORITY}.pem and its own .pem and .key; nodes and routers also "
         "names.json, the list of names and roles. "
@@ -80,7 +80,7 @@ def add(
         if text not in tuple(CERTIFIED):
             raise UnknownName(f"no role {text!r}; {did_you_mean(text, CERTIFIED)}")
     roles = [Role(text) for text in role]
-    out.print(_table([add(folder, roles, name, hosts=host or (), days=days, force=force)]))
+    _show([add(folder, roles, name, hosts=host or (), days=days, force=force)])
     out.print(f"Copy {folder / NAMES} to all nodes and routers, and start them again.")
 
 
@@ -129,18 +129,18 @@ def show(folder: Annotated[Path, typer.Argument(help="Folder of the certificates
     from zenostat.bridge.transport.certificates import show
     from zenostat.bridge.transport.deny_list import read_revoked
 
-    out.print(_table(show(folder), read_revoked(folder)))
+    _show(show(folder), read_revoked(folder))
 
 
-def _table(certificates: list[Certificate], revoked: Collection[str] = ()) -> Table:
-    table = Table("role", "name", "expires (UTC)", "hosts", "state")
-    for certificate in certificates:
-        expires = f"{certificate.expires:%Y-%m-%d %H:%M}"
-        table.add_row(
+def _show(certificates: Iterable[Certificate], revoked: Collection[str] = ()) -> None:
+    rows = [
+        (
             ", ".join(certificate.roles) or "authority",
             certificate.name,
-            expires,
+            f"{certificate.expires:%Y-%m-%d %H:%M}",
             ", ".join(certificate.hosts),
             "revoked" if certificate.name in revoked else certificate.fault or certificate.warning or "good",
         )
-    return table
+        for certificate in certificates
+    ]
+    show_table("", ("role", "name", "expires (UTC)", "hosts", "state"), rows, wrap=("role", "name", "hosts", "state"))

@@ -21,7 +21,7 @@ from zenostat.cli.console import out, progress
 from zenostat.cli.options import CertificateName, Keys, is_explicit
 from zenostat.cli.record import describe_recording
 from zenostat.cli.scenarios import check_scenario
-from zenostat.cli.statistics import statistics_table
+from zenostat.cli.statistics import show_statistics
 from zenostat.topics.calendar import format_duration
 from zenostat.topics.errors import AddressInUse, InvalidConfig, NodeNotFound
 from zenostat.topics.messages import REJECTIONS, Event, EventKind, Mode, OnFull, Policy, RecordingStatus, State
@@ -219,9 +219,9 @@ def _serve(config: NodeSettings, create: Callable[..., Node], *, is_endpoint_exp
         if out.is_json:
             running.server.on_event = partial(_log_event, config.name)
         running.serve()
-        statistics = statistics_table(running.server.statistics(), running.exchange.controllers())
+        statistics, controllers = running.server.statistics(), running.exchange.controllers()
     if not out.is_json:
-        out.print(statistics)
+        show_statistics(statistics, controllers)
     if running.recording is not None:
         out.print(f"{config.name}: {describe_recording(running.recording)}")
     out.print(f"{config.name}: ended")

@@ -4,26 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rich.table import Table
-
+from zenostat.cli.console import out
+from zenostat.cli.tables import show
 from zenostat.topics.messages import ControllerStatus, LatencySummary, Statistics
 
 
-def statistics_table(statistics: Statistics, controllers: Sequence[ControllerStatus]) -> Table:
-    """Return a table of durations in milliseconds, with message and overrun counts below it; see docs/time.md."""
-    table = Table("", "count", "median (ms)", "p99 (ms)", "max (ms)", caption=_counts(statistics))
-    table.columns[0].overflow = "fold"  # never truncate a controller's name
-    for column in table.columns[1:]:
-        column.justify = "right"
-    for name, latency in (("step", statistics.step), ("cycle", statistics.cycle)):
-        table.add_row(name, *_cells(latency))
-    for controller in controllers:
-        table.add_row(f"response of {controller.controller}", *_cells(controller.response))
-    return table
-
-
-def _cells(latency: LatencySummary) -> tuple[str, ...]:
-    return str(latency.count), *milliseconds(latency)
+def show_statistics(statistics: Statistics, controllers: Sequence[ControllerStatus]) -> None:
+    """Print a table of durations in milliseconds, and message and overrun counts below it; see docs/time.md."""
+    latencies = {"step": statistics.step, "cycle": statistics.cycle}
+    latencies |= {f"response of {controller.controller}": controller.response for controller in controllers}
+    rows = [(name, str(latency.count), *milliseconds(latency)) for name, latency in latencies.items()]
+    numbers = ("count", "median (ms)", "p99 (ms)", "max (ms)")
+    show("", ("duration", *numbers), rows, right=numbers, wrap=("duration",))
+    out.print(_counts(statistics))
 
 
 def milliseconds(latency: LatencySummary) -> tuple[str, str, str]:

@@ -76,6 +76,16 @@ def test_texts__are_in_one_line_however_narrow_the_output(scratch: Path) -> None
     assert printed[-1].endswith("it can sign new certificates.")
 
 
+def test_keys__names_and_hosts_are_not_cut(scratch: Path) -> None:
+    name, host = "controller-of-the-second-floor", "building-automation.lab.example.org"
+    run_in_process("keys", "init", "keys", "--host", host, cwd=scratch)
+    run_in_process("keys", "add", name, "--role", "controller", "--folder", "keys", cwd=scratch)
+    shown = output_of("keys", "show", "keys", cwd=scratch)
+    rows = {row[1]: row for row in (re.split(" {2,}", line) for line in shown.splitlines())}
+    assert rows[name][0] == "controller"
+    assert host in rows["node"][3]
+
+
 @pytest.mark.slow
 def test_points__have_units_and_bounds() -> None:
     done = run_program("points", "ref-small-office", "--match", "core_zn", "--json")
