@@ -18,6 +18,7 @@ from typing import Protocol
 from zenostat.models import energyplus, schema
 from zenostat.models.building.ems_programs import program_findings
 from zenostat.models.building.external_files import versions_of_files
+from zenostat.models.building.meters import meter_findings
 from zenostat.models.building.nodes import (
     nodes_without_setpoint,
     outdoor_nodes_without_air,
@@ -180,6 +181,7 @@ def _rule_diagnostics(
         schedule_findings(sound),
         limit_findings(sound),
         program_findings(matching),
+        meter_findings(matching),
         plausibility_findings(matching),
         nodes_without_setpoint(matching),
         outdoor_nodes_without_air(matching),

@@ -51,6 +51,41 @@ def programs(**lines: str) -> Objects:
     }
 
 
+TRANSFORMER = {
+    "rated_capacity": 15000.0,
+    "performance_input_method": "NominalEfficiency",
+    "nameplate_efficiency": 0.98,
+    "per_unit_load_for_nameplate_efficiency": 0.5,
+}
+
+
+def transformer(*meters: str, **fields: Any) -> Objects:
+    """A transformer between the grid and these meters."""
+    entries = [{"meter_name": meter} for meter in meters]
+    return {"ElectricLoadCenter:Transformer": {"Grid": TRANSFORMER | {"meters": entries} | fields}}
+
+
+def generator(meter: str) -> Objects:
+    """PV whose load center follows a meter."""
+    outputs = {"generator_name": "Roof", "generator_object_type": "Generator:PVWatts"}
+    return {
+        "Generator:PVWatts": {
+            "Roof": {"dc_system_capacity": 5000.0, "module_type": "Standard", "array_type": "FixedRoofMounted"}
+        },
+        "ElectricLoadCenter:Generators": {"Generators": {"generator_outputs": [outputs]}},
+        "ElectricLoadCenter:Inverter:PVWatts": {"Inverter": {}},
+        "ElectricLoadCenter:Distribution": {
+            "Center": {
+                "generator_list_name": "Generators",
+                "inverter_name": "Inverter",
+                "electrical_buss_type": "DirectCurrentWithInverter",
+                "generator_operation_scheme_type": "TrackMeter",
+                "generator_track_meter_scheme_meter_name": meter,
+            }
+        },
+    }
+
+
 CONNECTIONS: Objects = {
     "ZoneHVAC:EquipmentList": {"Equipment": {}},
     "NodeList": {"Inlets": {"nodes": [{"node_name": "Inlet"}]}},
@@ -112,6 +147,14 @@ CASES: dict[str, tuple[Callable[[Objects], object], Severity, str, str, str]] = 
     "list without a zone": (
         lambda model: model.update({"ZoneHVAC:EquipmentList": {"Equipment": {}}}),
         ERROR, "ZoneHVAC:EquipmentList", "", "'Equipment': no ZoneHVAC:EquipmentConnections names this list"),
+    "meter of a transformer": (
+        lambda model: model.update(transformer("Electricity:Facility", "InteriorLight:Electricity")),
+        ERROR, "ElectricLoadCenter:Transformer", "meters[1].meter_name",
+        "is 'InteriorLight:Electricity', which is no meter of electricity; did you mean 'InteriorLights:Electricity'"),
+    "meter of a load center": (
+        lambda model: model.update(generator("Electricity:Facilty")),
+        WARNING, "ElectricLoadCenter:Distribution", "generator_track_meter_scheme_meter_name",
+        "is 'Electricity:Facilty', which is no meter of electricity; did you mean 'Electricity:Facility'"),
     "thickness in mm": (
         lambda model: model["Material"]["Concrete"].update(thickness=200.0),
         WARNING, "Material", "thickness", "thickness is 200 m; is it in mm?"),
@@ -148,7 +191,24 @@ def test_diagnose__energyplus_ends_at_what_is_an_error(case: str, tmp_path: Path
     assert (exit_code(model, tmp_path / "run") != 0) == (severity is ERROR)
 
 
-@pytest.mark.parametrize("change", [lambda model: model, lambda model: model.update(setpoints(20.0, 24.0))])
+CUSTOM = {"resource_type": "Electricity", "variable_details": [{"output_variable_or_meter_name": "Fans:Electricity"}]}
+METERS = (
+    "electricity:facility",
+    "InteriorLights:Electricity",
+    "Electricity:Zone:Box",
+    "General:InteriorLights:Electricity:SpaceType:General",
+    "Own",
+)
+SOUND: list[Callable[[Objects], object]] = [
+    lambda model: model,
+    lambda model: model.update(setpoints(20.0, 24.0)),
+    lambda model: model.update(transformer(*METERS), **{"Meter:Custom": {"Own": CUSTOM}}),
+    lambda model: model.update(transformer("None", transformer_usage="PowerOutToGrid")),
+    lambda model: model.update(generator("Electricity:Building")),
+]
+
+
+@pytest.mark.parametrize("change", SOUND)
 def test_diagnose__sound_model_has_no_finding(change: Callable[[Objects], object]) -> None:
     model = box_model()
     change(model)
