@@ -46,6 +46,8 @@ _REPORTS = {
     "SHAD": "SurfaceShadowingSummary",
     "EIO": "InitializationSummary",
 }
+_SUFFIX = "( at Design Inlet Conditions| Unit .*)?"
+"""Words after the quantity in the name of an output variable."""
 _VENTILATION = {"VentilationRateProcedure": "Standard62.1VentilationRateProcedure"}
 
 STEPS = (
@@ -155,7 +157,7 @@ STEPS = (
     VersionStep(
         "9.3",
         "9.4",
-        "Input Changes 9.3.0 to 9.4.0, transition rules V9_4_0, schemas 9.3 and 9.4",
+        "Input Changes 9.3.0 to 9.4.0, transition rules V9_4_0, Report Variables 9-3-0 to 9-4-0, schemas 9.3 and 9.4",
         types={"ZoneProperty:UserViewFactors:bySurfaceName": "ZoneProperty:UserViewFactors:BySurfaceName"},
         fields={
             "Curve:DoubleExponentialDecay": (
@@ -182,14 +184,21 @@ STEPS = (
              {"Electric Power Level": "Electricity Rate", "Gas Power Level": "NaturalGas Rate"}),
             ("PerformancePrecisionTradeoffs", "override_mode", {"Mode05": "Mode06"}),
         ),
-        # The word replacements of the transition program, for meters and for output variables.
+        # The table of the transition program as patterns, for meters and for output variables.
         variables=(
-            (r"(.*\b)Electric(:.*)", r"\1Electricity\2"),
+            (r"(.*:)?Electric(:.*)?", r"\1Electricity\2"),
             (r"(.*:)?Gas(:.*)?", r"\1NaturalGas\2"),
             (r"(.*:)?FuelOil#([12])(:.*)?", r"\1FuelOilNo\2\3"),
-            (r"(.*) Electric(?:ity)? Power", r"\1 Electricity Rate"),
-            (r"(.*) Electric (Energy|Rate)", r"\1 Electricity \2"),
-            (r"(.*)(?<!Natural)\bGas (Energy|Rate)", r"\1NaturalGas \2"),
+            (r"Generator Produced Electric Power", "Generator Produced AC Electricity Rate"),
+            (r"Generator Produced Electric Energy", "Generator Produced AC Electricity Energy"),
+            (r"(Refrigeration Zone Air Chiller Fan Electric Energy)", r"\1"),
+            (rf"(.*) Electric(?:ity)? (Demand |Loss )?Power{_SUFFIX}", r"\1 Electricity \2Rate\3"),
+            (rf"(.*) Electric (Loss |Loss Decrement )?(Energy|Rate){_SUFFIX}", r"\1 Electricity \2\3\4"),
+            (r"Humidifier Gas Use (Energy|Rate)", r"Humidifier NaturalGas \1"),
+            (r"Humidifier Gas (Use Thermal Efficiency)", r"Humidifier NaturalGas \1"),
+            (r"(.*)(?<!Natural)\bGas ((?:HHV Basis )?(?:Energy|Rate)|Mass Flow Rate)", r"\1NaturalGas \2"),
+            (r"(Environmental Impact )Natural Gas (.*)", r"\1NaturalGas \2"),
+            (r"(Environmental Impact )Fuel Oil #([12]) (.*)", r"\1FuelOilNo\2 \3"),
             (r"(.*)FuelOil#([12])(.*)", r"\1FuelOilNo\2\3"),
         ),
         functions=(simulation_rules.one_diagnostics_object, simulation_rules.debugging_words),

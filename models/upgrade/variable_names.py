@@ -11,6 +11,7 @@ from zenostat.models.upgrade.step import Renames, UpgradingModel
 _FIELDS = {
     "DemandManagerAssignmentList": "meter_name",
     "ElectricLoadCenter:Distribution": "(generator|storage_control)_track_meter(_scheme_meter)?_name",
+    "ElectricLoadCenter:Transformer": "meter_name",
     "EnergyManagementSystem:Sensor": "output_variable_or_output_meter_name",
     "ExternalInterface:FunctionalMockupUnitExport:From:Variable": "output_variable_name",
     "ExternalInterface:FunctionalMockupUnitImport:From:Variable": "output_variable_name",

@@ -244,6 +244,45 @@ def test_version_step__renamed_type_is_renamed_where_it_is_named() -> None:
     assert result.objects["Branch"]["B"]["components"][0]["component_object_type"] == "DistrictHeating:Water"
 
 
+VARIABLES = {
+    "Electricity:Facility": "Electricity:Facility",
+    "InteriorEquipment:Gas": "InteriorEquipment:NaturalGas",
+    "Zone Lights Electric Power": "Zone Lights Electricity Rate",
+    "Facility Total HVAC Electric Demand Power": "Facility Total HVAC Electricity Demand Rate",
+    "Facility Total Electric Demand Power": "Facility Total Electricity Demand Rate",
+    "Generator Produced Electric Power": "Generator Produced AC Electricity Rate",
+    "Generator Produced Electric Energy": "Generator Produced AC Electricity Energy",
+    "Generator Produced DC Electric Power": "Generator Produced DC Electricity Rate",
+    "Generator Gas HHV Basis Rate": "Generator NaturalGas HHV Basis Rate",
+    "Chiller Gas Mass Flow Rate": "Chiller NaturalGas Mass Flow Rate",
+    "Converter Electric Loss Power": "Converter Electricity Loss Rate",
+    "Converter Electric Loss Decrement Energy": "Converter Electricity Loss Decrement Energy",
+    "ITE CPU Electric Power at Design Inlet Conditions": "ITE CPU Electricity Rate at Design Inlet Conditions",
+    "Chiller Heater Cooling Electric Power Unit 1": "Chiller Heater Cooling Electricity Rate Unit 1",
+    "Humidifier Gas Use Rate": "Humidifier NaturalGas Rate",
+    "Humidifier Gas Use Thermal Efficiency": "Humidifier NaturalGas Use Thermal Efficiency",
+    "Environmental Impact Fuel Oil #2 Source Energy": "Environmental Impact FuelOilNo2 Source Energy",
+    "Environmental Impact Natural Gas CO2 Emissions Mass": "Environmental Impact NaturalGas CO2 Emissions Mass",
+    "Refrigeration Zone Air Chiller Fan Electric Energy": "Refrigeration Zone Air Chiller Fan Electric Energy",
+    "Electric Storage Charge Power": "Electric Storage Charge Power",
+}
+"""Names of 9.3 and of 9.4, by EnergyPlus's table of renamed report variables."""
+
+
+@pytest.mark.parametrize("old", VARIABLES)
+def test_version_step__renames_output_variables_and_meters(old: str) -> None:
+    result = applied("9.3", {"EnergyManagementSystem:Sensor": {"S": {"output_variable_or_output_meter_name": old}}})
+    sensor = result.objects["EnergyManagementSystem:Sensor"]["S"]
+    assert sensor["output_variable_or_output_meter_name"] == VARIABLES[old]
+
+
+def test_version_step__meters_of_a_transformer_are_renamed() -> None:
+    meters = {"meters": [{"meter_name": "InteriorLights:Electric"}, {"meter_name": "Electric:Facility"}]}
+    result = applied("9.3", {"ElectricLoadCenter:Transformer": {"Grid": meters}})
+    renamed = [meter["meter_name"] for meter in result.objects["ElectricLoadCenter:Transformer"]["Grid"]["meters"]]
+    assert renamed == ["InteriorLights:Electricity", "Electricity:Facility"]
+
+
 def test_version_step__custom_meters_keep_their_names() -> None:
     meters = {"Meter:Custom": {"Gas:Mine": {"variable_details": [{"output_variable_or_meter_name": "Gas:Zone:Core"}]}}}
     result = applied("9.3", meters | {"Output:Meter": {"1": {"key_name": "Gas:Mine"}}})
