@@ -104,6 +104,7 @@ def _upgrade(source: SourceModel, version: object, name: str, engine: str) -> Up
     model = UpgradingModel(source.objects)
     for step in steps:
         apply(step, model)
+    _respell(model)
     model.objects["Version"] = {key: {"version_identifier": target} for key in list(model.objects["Version"])[:1]}
     refusals = [*model.refusals, *_schema_refusals(model)]
     if refusals:
@@ -111,6 +112,14 @@ def _upgrade(source: SourceModel, version: object, name: str, engine: str) -> Up
         head = f"{name} is for EnergyPlus {version} and cannot be upgraded to {target}:"
         raise InvalidConfig(list_errors(head, lines))
     return UpgradedModel(model.objects, steps[0].before, target, tuple(model.changes))
+
+
+def _respell(model: UpgradingModel) -> None:
+    """Spell words as the engine's schema does: in any case, an earlier version took those that it had no list of."""
+    for kind, items in model.objects.items():
+        spelling = schema.canonical_type(kind) or kind
+        for name, fields in items.items():
+            items[name] = schema.canonical_fields(spelling, fields)
 
 
 def _schema_refusals(model: UpgradingModel) -> Iterator[Refusal]:

@@ -538,6 +538,20 @@ def test_upgrade__what_still_does_not_fit_is_refused_by_line() -> None:
 
 
 @needs_schemas
+def test_upgrade__words_that_had_no_list_are_taken_in_any_case() -> None:
+    rules = {
+        "starting_vertex_position": "UPPERLEFTCORNER",
+        "vertex_entry_direction": "CounterClockWise",
+        "coordinate_system": "RELATIVE",
+    }
+    upgraded = upgrade_epjson(model("9.2", GlobalGeometryRules={"G": rules}), name="old.epJSON")
+    assert upgraded.objects["GlobalGeometryRules"]["G"] == {
+        "starting_vertex_position": "UpperLeftCorner",
+        "vertex_entry_direction": "Counterclockwise",
+        "coordinate_system": "Relative",
+    }
+
+
 def test_upgrade__type_without_a_rule_is_refused_with_the_reason() -> None:
     message = refused(f"Version,23.1;\n\n\n{HEAT_PUMP_COIL},\n  Coil A;\n")
     assert f"line 4: {HEAT_PUMP_COIL} 'Coil A': its part-load losses came from a cycling rate" in message
