@@ -134,11 +134,13 @@ class UpgradingModel:
 
 
 def _replace_type(fields: dict[str, Any], old: str, new: str) -> Iterator[str]:
-    """Replace a type in the fields that name one, and yield a text for each."""
+    """Replace a type in the fields that name one, also in `Plant Component TYPE` of an actuator; yield their texts."""
+    pattern = re.compile(rf"(Plant Component )?{re.escape(old)}", re.IGNORECASE)
     for key, value in fields.items():
-        if isinstance(value, str) and value.casefold() == old.casefold() and _TYPE_FIELD.fullmatch(key):
-            fields[key] = new
-            yield f"{key} is now {new}"
+        if isinstance(value, str):
+            if _TYPE_FIELD.fullmatch(key) and (match := pattern.fullmatch(value)):
+                fields[key] = f"{match[1] or ''}{new}"
+                yield f"{key} is now {fields[key]}"
         elif isinstance(value, list):
             for entry in value:
                 if isinstance(entry, dict):

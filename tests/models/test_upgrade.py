@@ -244,6 +244,13 @@ def test_version_step__renamed_type_is_renamed_where_it_is_named() -> None:
     assert result.objects["Branch"]["B"]["components"][0]["component_object_type"] == "DistrictHeating:Water"
 
 
+def test_version_step__renamed_type_is_renamed_in_an_actuator_of_plant_equipment() -> None:
+    actuator = {"actuated_component_type": "Plant Component DistrictHeating"}
+    result = applied("23.1", {"EnergyManagementSystem:Actuator": {"On": actuator}})
+    renamed = result.objects["EnergyManagementSystem:Actuator"]["On"]
+    assert renamed == {"actuated_component_type": "Plant Component DistrictHeating:Water"}
+
+
 VARIABLES = {
     "Electricity:Facility": "Electricity:Facility",
     "InteriorEquipment:Gas": "InteriorEquipment:NaturalGas",
