@@ -113,6 +113,12 @@ async def test_mcp__tools_read_what_the_bus_has(fake_node: NodeProgram, audit: P
             assert past["points"][0]["values"] == pytest.approx(history[TEMPERATURE].tolist())
             assert past["points"][0]["max"] == pytest.approx(history[TEMPERATURE].max())
             assert past["time"][-1] == sample.time.isoformat()
+            thin = await ask(client, "read_history", node="office", points=[TEMPERATURE], max_samples=4)
+            assert thin["stride"] == 8
+            assert thin["points"][0]["values"] == pytest.approx(history[TEMPERATURE][6::8].tolist())
+            assert [thin["points"][0][name] for name in ("min", "mean", "max")] == pytest.approx(
+                [history[TEMPERATURE].min(), history[TEMPERATURE].mean(), history[TEMPERATURE].max()]
+            )
             listed = await ask(client, "find_points", node="office", words="zone 1 setpoint", kind="actuator")
             assert [point["name"] for point in listed["points"]] == ["zone_1_heating_setpoint", POINT]
             explained = await ask(client, "explain_building", node="office")
@@ -120,7 +126,7 @@ async def test_mcp__tools_read_what_the_bus_has(fake_node: NodeProgram, audit: P
             assert len(explained["zones"]) == 3
             array = await ask(client, "read_priorities", node="office", actuator=POINT)
             assert [entry["value"] for entry in array["entries"]] == [None] * 16
-    assert [entry["outcome"] for entry in entries(audit) if "outcome" in entry] == ["ok"] * 6
+    assert [entry["outcome"] for entry in entries(audit) if "outcome" in entry] == ["ok"] * 7
 
 
 @pytest.mark.slow

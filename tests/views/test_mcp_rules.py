@@ -7,6 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("mcp")
@@ -16,6 +17,7 @@ from hypothesis import strategies as st
 from support import builders
 from support.examples import examples
 
+from zenostat.bridge.client.history import History
 from zenostat.bridge.client.priorities import PriorityValue
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import (
@@ -358,6 +360,21 @@ def test_list_nodes__branches_neither_displace_nodes_nor_count(others: int, not_
     listed = [node["node"] for node in content.data["nodes"]]
     assert listed[:3] == ["a", "a.north", "z000"]
     assert (len(listed), content.data["not_listed"]) == (others + 2 - not_listed, not_listed)
+
+
+def test_read_history__minimum_mean_and_maximum_are_of_all_samples() -> None:
+    """Seven samples a quarter of a second apart, of which at most three are returned."""
+    manifest = builders.manifest().model_copy(update={"begin": "2017-07-03T00:00:00", "step_s": 0.25})
+    values = np.array([[1.0], [9.0], [2.0], [np.nan], [4.0], [-3.0], [5.0]])
+    history = History(manifest, 0, 0, ("power",), ("W",), 1, 0, np.arange(7), values)
+    desk: Any = SimpleNamespace(bus=SimpleNamespace(history=lambda *_, **__: history))
+    content, is_error = call(desk, "read_history", {"node": "x", "points": ["power"], "max_samples": 3})
+    assert not is_error
+    (power,) = content.data["points"]
+    assert (power["min"], power["mean"], power["max"]) == (-3.0, 3.0, 9.0)
+    assert (content.data["stride"], power["values"]) == (3, [1.0, None, 5.0])
+    assert (power["lows"], power["highs"]) == ([1.0, 2.0, -3.0], [1.0, 9.0, 5.0])
+    assert content.data["time"] == ["2017-07-03T00:00:00", "2017-07-03T00:00:00.750000", "2017-07-03T00:00:01.500000"]
 
 
 def test_event_log__branches_do_not_displace_their_building() -> None:

@@ -21,7 +21,6 @@ def draw_history(history: History) -> bytes:
     units: dict[str, list[int]] = {}
     for column, unit in enumerate(history.units):
         units.setdefault(unit, []).append(column)
-    times = history.time.astype("datetime64[s]")
 
     def fill(figure: Any) -> None:
         axes = figure.subplots(len(units), 1, sharex=True, squeeze=False)[:, 0]
@@ -30,9 +29,9 @@ def draw_history(history: History) -> bytes:
                 color = series_color(place + 1)
                 if history.stride > 1 and history.lows is not None and history.highs is not None:
                     lows, highs = history.lows[:, column], history.highs[:, column]
-                    axis.fill_between(times, lows, highs, color=color, alpha=0.2)
+                    axis.fill_between(history.time, lows, highs, color=color, alpha=0.2)
                 name = label(history.points[column])
-                axis.plot(times, history.values[:, column], color=color, ls=series_dashes(place + 1), label=name)
+                axis.plot(history.time, history.values[:, column], color=color, ls=series_dashes(place + 1), label=name)
             axis.set_ylabel(unit_label(unit))
             legend_above(axis)
         locator = dates.AutoDateLocator()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -24,6 +25,7 @@ from zenostat.views.room.priorities import priority_arrays
 from zenostat.views.room.state import node_state, summary, zone_states
 
 _MAX_NODES = 100
+_MAX_DRAWN = 2000
 _LEFT_OUT = ("faults", "recording", "rate", "problem")
 """Fields of a summary that a model does not get: an injected fault is what it is to diagnose."""
 
@@ -223,7 +225,8 @@ class ReadPriorities(Tool):
 class ReadHistory(Tool):
     """Read the values of points in the present episode, as published, with minimum, mean and maximum.
 
-    Of more samples than max_samples, only every k-th is returned, with the lowest and highest values between.
+    Of more samples than max_samples, only every k-th is returned, with the lowest and highest values between. Minimum,
+    mean and maximum are those of all samples.
     """
 
     name: ClassVar[str] = "read_history"
@@ -236,8 +239,8 @@ class ReadHistory(Tool):
 
     @override
     def run(self, desk: Desk) -> Content:
-        history = read_history(desk, self.node, self.points, self.start, self.end, self.max_samples)
-        return Content({"node": self.node, **history_data(history)})
+        history = desk.bus.history(self.node, self.points, start=self.start, end=self.end)
+        return Content({"node": self.node, **_history_data(history, _thinned(history, self.max_samples))})
 
 
 class Plot(Tool):
@@ -252,13 +255,14 @@ class Plot(Tool):
 
     @override
     def run(self, desk: Desk) -> Content:
-        history = read_history(desk, self.node, self.points, self.start, self.end, 2000)
-        data = history_data(history)
+        history = desk.bus.history(self.node, self.points, start=self.start, end=self.end)
+        drawn = _thinned(history, _MAX_DRAWN)
+        data = _history_data(history, drawn)
         for point in data["points"]:
             point.pop("values")
         data["time"] = [data["time"][0], data["time"][-1]]
         with desk.drawing:
-            return Content({"node": self.node, **data}, draw_history(history))
+            return Content({"node": self.node, **data}, draw_history(drawn))
 
 
 class ReadAlarms(Tool):
@@ -304,36 +308,40 @@ class ReadEvents(Tool):
         return Content({"node": self.node, "begin": manifest.begin, "step_s": manifest.step_s, "events": events})
 
 
-def read_history(
-    desk: Desk, node: str, points: list[str], start: str | None, end: str | None, max_samples: int
-) -> History:
-    """Return the history of points; arguments and errors as of `Bus.history`."""
-    return desk.bus.history(node, points, start=start, end=end, max_samples=max_samples, extremes=True)
+def _thinned(history: History, max_samples: int) -> History:
+    """Return at most so many samples of a history of all, the last one among them, with the extremes between."""
+    stride = -(-len(history) // max_samples)
+    ends = np.arange((len(history) - 1) % stride, len(history), stride)
+    begins = np.concatenate(([0], ends[:-1] + 1))
+    return replace(
+        history,
+        stride=stride,
+        step=history.step[ends],
+        values=history.values[ends],
+        lows=np.fmin.reduceat(history.values, begins),
+        highs=np.fmax.reduceat(history.values, begins),
+    )
 
 
-def history_data(history: History) -> dict[str, Any]:
-    """Return a history as JSON values."""
-    assert history.lows is not None
-    assert history.highs is not None
+def _history_data(history: History, thinned: History) -> dict[str, Any]:
+    """Return the samples of a thinned history, and minimum, mean and maximum of the whole one, as JSON values."""
     entries = []
     for column, (name, unit) in enumerate(zip(history.points, history.units, strict=True)):
-        values, lows, highs = (table[:, column] for table in (history.values, history.lows, history.highs))
-        is_known = np.isfinite(values).any()
-        entry: dict[str, Any] = {
-            "name": name,
-            "unit": unit,
-            "min": number(float(np.nanmin(lows))) if np.isfinite(lows).any() else None,
-            "mean": number(float(np.nanmean(values))) if is_known else None,
-            "max": number(float(np.nanmax(highs))) if np.isfinite(highs).any() else None,
-            "values": numbers(values),
+        known = history.values[:, column]
+        known = known[np.isfinite(known)]
+        entry: dict[str, Any] = {"name": name, "unit": unit}
+        entry |= {
+            title: number(float(of(known))) if len(known) else None
+            for title, of in (("min", np.min), ("mean", np.mean), ("max", np.max))
         }
-        if history.stride > 1:
-            entry |= {"lows": numbers(lows), "highs": numbers(highs)}
+        entry["values"] = numbers(thinned.values[:, column])
+        if thinned.stride > 1 and thinned.lows is not None and thinned.highs is not None:
+            entry |= {"lows": numbers(thinned.lows[:, column]), "highs": numbers(thinned.highs[:, column])}
         entries.append(entry)
     return {
         "episode": history.episode,
-        "stride": history.stride,
-        "time": [str(time) for time in history.time.astype("datetime64[s]")],
+        "stride": thinned.stride,
+        "time": [time.isoformat() for time in thinned.time.tolist()],
         "points": entries,
     }
 
