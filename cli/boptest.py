@@ -10,7 +10,8 @@ import typer
 from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
 from zenostat.cli.console import out
 from zenostat.cli.gateway_clients import Allow, ClientsFile, clients_of, notify
-from zenostat.cli.options import Emissions, Price, read_rates
+from zenostat.cli.options import Emissions, Price
+from zenostat.cli.pairs import read_rates
 from zenostat.gateways.addresses import is_loopback
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.plurals import counted

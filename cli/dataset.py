@@ -11,7 +11,7 @@ import typer
 from zenostat.cli.console import out
 from zenostat.cli.evaluate import watcher
 from zenostat.cli.node_options import Begin, End
-from zenostat.cli.run import read_parameters
+from zenostat.cli.pairs import read_parameters
 
 
 def dataset(
@@ -71,7 +71,7 @@ def dataset(
     with ExitStack() as stack:
         path = write_dataset(
             make, controllers, dataset_id, episodes=episodes, seed=seed, epsilon=epsilon,
-            parameters=read_parameters(parameters or []), folder=folder, author=author, description=description,
+            parameters=read_parameters(parameters), folder=folder, author=author, description=description,
             progress=watcher(stack, episodes),
         )  # fmt: skip
     out.print(f"data set {dataset_id}: {path}")

@@ -14,9 +14,9 @@ import typer
 
 from zenostat.cli.console import err, out, progress
 from zenostat.cli.node_options import Begin, End
-from zenostat.cli.options import Emissions, Price, read_rates
+from zenostat.cli.options import Emissions, Price
+from zenostat.cli.pairs import read_parameters, read_rates
 from zenostat.cli.reports import FIGURES_HELP, REPORT_HELP, ReportOutputs, command_line
-from zenostat.cli.run import read_parameters
 from zenostat.cli.tables import show, show_json
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidConfig
@@ -82,7 +82,7 @@ def evaluate(
     with ExitStack() as stack:
         watch = None if as_json else watcher(stack, episodes)
         evaluation = run_all(
-            scenario, controllers, episodes=episodes, seed=seed, parameters=read_parameters(parameters or []),
+            scenario, controllers, episodes=episodes, seed=seed, parameters=read_parameters(parameters),
             prices=read_rates("--price", prices), emissions=read_rates("--emissions", emissions),
             progress=watch, trace=outputs.wanted, record=record, **overrides,
         )  # fmt: skip

@@ -19,6 +19,7 @@ from zenostat.bridge.transport.session import default_endpoint, exposure
 from zenostat.cli import node_options as options
 from zenostat.cli.console import out, progress
 from zenostat.cli.options import CertificateName, Keys, is_explicit
+from zenostat.cli.pairs import read_pairs
 from zenostat.cli.record import describe_recording
 from zenostat.cli.scenarios import check_scenario
 from zenostat.cli.statistics import show_statistics
@@ -152,9 +153,10 @@ def _with_plant(
         if plant_argument:
             raise InvalidConfig("--plant-argument needs --plant FILE.py:CLASS, --fmu FILE.fmu or --grid FILE.yaml")
         return {name: value for name, value in settings.items() if name not in ("plant", "fmu", "grid")}
-    arguments = options.parse_arguments(plant_argument or [])
+    arguments = read_pairs("--plant-argument", plant_argument, "a name and a value", "power_w=2000")
     if set_value:
-        arguments["set"] = options.parse_start_values(set_value)
+        variable = "a variable and a value", "tank.T0=293.15"
+        arguments["set"] = read_pairs("--set", set_value, *variable, split=str.rpartition)
     shrink_caches = None if settings["shrink_caches"] else False
     return {**settings, "plant_arguments": arguments, "shrink_caches": shrink_caches}
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ast
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,7 +10,6 @@ import typer
 from zenostat.bridge.runtime import affinity
 from zenostat.bridge.transport.session import DEFAULT_ENDPOINT
 from zenostat.topics import messages
-from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.scenario_fields import MEANING
 
 
@@ -96,27 +93,3 @@ PlantArgument = Annotated[
     list[str] | None,
     typer.Option("--plant-argument", metavar="NAME=VALUE", help="Argument of the plant's class; repeatable."),
 ]
-
-
-def parse_arguments(pairs: Sequence[str]) -> dict[str, Any]:
-    """Return the arguments of a class from `name=value` texts; a value is a Python literal, or else a text.
-
-    Raises:
-        InvalidConfig: a text has another form.
-    """
-    return dict(_parse(pair, "--plant-argument", "power_w=2000", str.isidentifier) for pair in pairs)
-
-
-def parse_start_values(pairs: Sequence[str]) -> dict[str, Any]:
-    """Return start values of an FMU's variables from `name=value` texts, as `parse_arguments` does."""
-    return dict(_parse(pair, "--set", "tank.T0=293.15", bool) for pair in pairs)
-
-
-def _parse(pair: str, option: str, example: str, is_name: Callable[[str], bool]) -> tuple[str, Any]:
-    name, separator, text = pair.rpartition("=") if option == "--set" else pair.partition("=")
-    if not separator or not is_name(name):
-        raise InvalidConfig(f"{option} {pair!r}: write it as NAME=VALUE, for example {example}")
-    try:
-        return name, ast.literal_eval(text)
-    except (ValueError, SyntaxError):
-        return name, text

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import wraps
@@ -20,7 +20,6 @@ from zenostat.bridge.transport.session import (
     names_certificate,
     open_session,
 )
-from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.keys import Role
 
 if TYPE_CHECKING:
@@ -119,26 +118,6 @@ def on_bus(command: Callable[..., None]) -> Callable[..., None]:
     run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return run
-
-
-def read_rates(option: str, texts: Sequence[str] | None) -> dict[str, float | str]:
-    """Parse texts of the form `fuel=number` or `fuel=file`.
-
-    Raises:
-        InvalidConfig: another form, or a fuel occurs twice.
-    """
-    rates: dict[str, float | str] = {}
-    for text in texts or ():
-        fuel, _, value = text.partition("=")
-        if not fuel or not value:
-            raise InvalidConfig(f"{option} {text}: expected a fuel and a number or file: {option} electricity=0.25")
-        if fuel in rates:
-            raise InvalidConfig(f"{option} {fuel} occurs twice: {rates[fuel]} and {value}")
-        try:
-            rates[fuel] = float(value)
-        except ValueError:
-            rates[fuel] = value
-    return rates
 
 
 def is_explicit(context: typer.Context, name: str) -> bool:

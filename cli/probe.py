@@ -11,9 +11,9 @@ import typer
 
 from zenostat.cli.console import out, progress
 from zenostat.cli.node_options import Begin, End
-from zenostat.cli.run import read_parameters
+from zenostat.cli.pairs import read_pairs, read_parameters
 from zenostat.cli.tables import show, show_json
-from zenostat.topics.errors import ErrorCollector, InvalidConfig
+from zenostat.topics.errors import ErrorCollector
 from zenostat.topics.plurals import counted
 from zenostat.topics.units import with_unit
 
@@ -64,9 +64,9 @@ def probe(
     Example: `zenostat probe ref-small-office-USA_CO_Denver-continuous-v1 --begin 07-03 --end 07-07 --hours 2`
     """
     errors = ErrorCollector()
-    lows = errors.collect(lambda: _read_values("--low", low))
-    highs = errors.collect(lambda: _read_values("--high", high))
-    arguments = errors.collect(lambda: read_parameters(overrides or [])) or {}
+    lows = errors.collect(lambda: _read_bounds("--low", low))
+    highs = errors.collect(lambda: _read_bounds("--high", high))
+    arguments = errors.collect(lambda: read_parameters(overrides)) or {}
     errors.raise_if_any()
     arguments |= {name: day for name, day in (("begin", begin), ("end", end)) if day is not None}
     from zenostat.lab.probe import probe as run
@@ -88,17 +88,8 @@ def show_report(report: ProbeReport, title: str, *, as_json: bool) -> None:
         _show(report, title)
 
 
-def _read_values(option: str, texts: Sequence[str] | None) -> dict[str, float]:
-    values: dict[str, float] = {}
-    for text in texts or ():
-        name, _, value = text.partition("=")
-        try:
-            values[name] = float(value)
-        except ValueError:
-            raise InvalidConfig(
-                f"{option} {text}: expected an actuator and a number, for example {option} heating_setpoint=18"
-            ) from None
-    return values
+def _read_bounds(option: str, texts: Sequence[str] | None) -> dict[str, float]:
+    return read_pairs(option, texts, "an actuator and a number", "heating_setpoint=18", read=float)
 
 
 def _watcher(stack: ExitStack, scenario: str) -> Progress:

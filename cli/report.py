@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from zenostat.cli.console import err, warnings_printed
-from zenostat.cli.options import Emissions, Price, read_rates
+from zenostat.cli.options import Emissions, Price
+from zenostat.cli.pairs import read_rates
 from zenostat.cli.reports import FIGURES_HELP, REPORT_HELP, ReportOutputs, command_line
 from zenostat.topics.errors import InvalidConfig
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import inspect
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from zenostat.cli.console import err, out, progress
-from zenostat.cli.options import DEFAULTS, BusOptions, Emissions, Price, on_bus, read_rates
+from zenostat.cli.options import DEFAULTS, BusOptions, Emissions, Price, on_bus
+from zenostat.cli.pairs import read_parameters, read_rates
 from zenostat.cli.reports import FIGURES_HELP, REPORT_HELP, ReportOutputs, command_line
 from zenostat.cli.results import show_results
 from zenostat.topics.errors import InvalidConfig
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
     from zenostat.agent_sdk.semantic import SemanticGraph
     from zenostat.cli.run_trace import RunTrace
     from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
-
-_WORDS = {"true": True, "false": False}
 
 
 @on_bus
@@ -75,7 +74,7 @@ def run(
     rates = read_prices(read_rates("--price", prices)), read_emissions(read_rates("--emissions", emissions))
     factory = load_controller(controller)
     starts_episode = reset or episodes > 1
-    arguments = _with_seed(factory, read_parameters(parameters or []), seed, starts_episode, controller)
+    arguments = _with_seed(factory, read_parameters(parameters), seed, starts_episode, controller)
     name = safe_name(controller.rpartition(":")[2])
     with options.open_bus(resets=starts_episode) as bus:
         agent = Agent(make_controller(factory, bus.manifest(node), arguments), semantic=lambda: _semantic(bus, node))
@@ -140,34 +139,6 @@ def _episode(
             rate = (sample.step - first) / max(now - start, 1e-9)
             bars.update(bar, completed=sample.step, rate=f"{rate:,.0f} steps/s")
     return metrics.result(), rate
-
-
-def read_parameters(texts: Sequence[str]) -> dict[str, Any]:
-    """Parse texts of the form `name=value`; a value is read as a Boolean or a number if possible, else as a string.
-
-    Raises:
-        InvalidConfig: another form, or a name occurs twice.
-    """
-    parameters: dict[str, Any] = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        if not equals or not name:
-            raise InvalidConfig(f"--set {text}: expected a name and a value, for example --set margin=0.5")
-        if name in parameters:
-            raise InvalidConfig(f"--set {name} occurs twice: {parameters[name]} and {value}")
-        parameters[name] = _read_value(value)
-    return parameters
-
-
-def _read_value(text: str) -> bool | float | str:
-    if text.casefold() in _WORDS:
-        return _WORDS[text.casefold()]
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            continue
-    return text
 
 
 def _with_seed(

@@ -13,7 +13,7 @@ import typer
 
 from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
 from zenostat.cli.console import err, out, progress
-from zenostat.topics import yaml12
+from zenostat.cli.pairs import read_pairs
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.plurals import counted
 
@@ -98,16 +98,13 @@ def override_fields(fields: dict[str, Any], options: dict[str, Any], texts: Sequ
     """Return the fields of a file, overridden by options and by texts of the form `field.field=value`.
 
     Raises:
-        InvalidConfig: a text has another form.
+        InvalidConfig: a text has another form, or a field occurs twice.
     """
     from zenostat.lab.config_file import with_field
 
     fields = {**fields, **options}
-    for text in texts:
-        path, equals, value = text.partition("=")
-        if not path or not equals:
-            raise InvalidConfig(f"--set {text}: FIELD=VALUE expected, as parameters.learning_rate=1e-3")
-        fields = with_field(fields, path, yaml12.parse(f"value: {value}", f"--set {path}")["value"])
+    for path, value in read_pairs("--set", texts, "a field and a value", "parameters.learning_rate=1e-3").items():
+        fields = with_field(fields, path, value)
     return fields
 
 

@@ -91,7 +91,7 @@ def test_cli__examples_of_set_are_fields_of_the_file(command: str, fields: dict[
         (["train", "none", "--resume"], "there is no file"),
         (["train", "--resume"], "--resume: name the folder of a training"),
         (["train"], "algorithm: it is missing; scenario: it is missing; steps: it is missing"),
-        (["train", "t.yaml", "--set", "gamma"], "--set gamma: FIELD=VALUE expected"),
+        (["train", "t.yaml", "--set", "gamma"], "--set gamma: expected a field and a value"),
         (["train", "t.yaml", "--set", "parameters.gama=1"], "a2c has no 'gama'; did you mean 'gamma'"),
         (["train", "t.yaml", "--algorithm", "pro"], "did you mean 'ppo'"),
         (["train", "t.yaml", "--set", "log=[tensorbord]"], "log.0"),

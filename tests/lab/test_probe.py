@@ -303,6 +303,7 @@ def test_probe__command_tells_json_and_a_table(scratch: Path) -> None:
     ("arguments", "message"),
     [
         (["--low", "core", "--set", "x"], "--low core: expected an actuator and a number"),
+        (["--low", "core=1", "--low", "core=2"], "--low core occurs twice: 1.0 and 2.0"),
         (["--set", "colour=red"], "colour: not an argument of a scenario"),
         (["--points", "roof"], "no sensor or meter 'roof'"),
     ],
