@@ -15,7 +15,7 @@ from zenostat.models.building.findings import FieldFinding, RuleFinding, finding
 from zenostat.models.input_format.source_model import ModelObjects
 from zenostat.topics.errors import did_you_mean
 
-_NODE = re.compile(r"(\w*_)?node(_or_nodelist)?(_\w*)?name|\w*_node_or_nodelist_name")
+_NODE = re.compile(r"(\w*_)?node(_\w*)?_names?(_for_surface)?|\w*_node")
 _MAY_BE_ALONE = re.compile(r"outlet|relief|exhaust|return|zone_air_node|zone_node|^node_name$|^node_or_nodelist_name$")
 """Fields whose node nothing else needs to name: air that leaves the building, the air of a zone, lists of nodes."""
 

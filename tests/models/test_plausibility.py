@@ -12,6 +12,7 @@ from support.box_model import box_model, exit_code
 
 from zenostat.models.building.diagnostics import Severity, diagnose
 from zenostat.models.building.model import Building, read_building
+from zenostat.models.building.nodes import unconnected_nodes
 from zenostat.models.catalog import find_building
 from zenostat.models.input_format.epjson_reader import read_epjson
 from zenostat.models.input_format.idf_reader import parse_idf
@@ -298,6 +299,24 @@ def test_diagnose__branches_of_two_loops_are_one_error(case: str) -> None:
 @pytest.mark.parametrize("case", SHARED_BRANCHES)
 def test_diagnose__energyplus_ends_at_branches_of_two_loops(case: str, tmp_path: Path) -> None:
     assert exit_code(large_office(SHARED_BRANCHES[case][0]), tmp_path / "run") != 0
+
+
+NODE_FIELDS = [
+    ("Coil:Cooling:DX:VariableRefrigerantFlow", {"coil_air_inlet_node": "Mixed"}),
+    ("Fan:ConstantVolume", {"air_inlet_node_name": "Mixed"}),
+    ("PipingSystem:Underground:PipeCircuit", {"circuit_inlet_node": "Mixed"}),
+    ("PlantComponent:TemperatureSource", {"inlet_node": "Mixed"}),
+    ("SolarCollector:UnglazedTranspired:Multisystem", {"systems": [{"outdoor_air_system_mixed_air_node": "Mixed"}]}),
+    ("SwimmingPool:Indoor", {"pool_water_inlet_node": "Mixed"}),
+    ("ZoneHVAC:VentilatedSlab:SlabGroup", {"data": [{"slab_inlet_node_name_for_surface": "Mixed"}]}),
+]
+
+
+@pytest.mark.parametrize(("kind", "fields"), NODE_FIELDS)
+def test_unconnected_nodes__all_fields_that_name_a_node_count(kind: str, fields: dict[str, Any]) -> None:
+    mixer = {"OutdoorAir:Mixer": {"Mixer": {"mixed_air_node_name": "mixed"}}}
+    assert [(each.kind, each.node) for each in unconnected_nodes({kind: {"it": fields}})] == [(kind, "Mixed")]
+    assert not list(unconnected_nodes({kind: {"it": fields}} | mixer))
 
 
 def test_diagnose__loop_that_is_sized_without_an_object_for_it_is_a_warning() -> None:
