@@ -9,6 +9,7 @@ import pytest
 
 from zenostat.models import energyplus
 from zenostat.models.building.model import Building, check_runnable, read_building
+from zenostat.models.building.unreadable import diagnose_unreadable
 from zenostat.models.catalog import bundled_weathers, find_building
 from zenostat.models.points.discovery import discover
 from zenostat.models.weather.design_days import site
@@ -43,6 +44,16 @@ def test_models__unknown_object_of_an_idf_is_named_with_its_file_and_line(idf: C
     line = text[:begin].count("\n") + 1
     for words in (str(path), f"line {line}: EnergyPlus has no object type 'Zonne'; did you mean 'Zone'"):
         assert words in str(caught.value)
+
+
+def test_diagnose_unreadable__of_a_version_that_is_not_read_the_version_is_the_only_error(
+    idf: Callable[[str], Path],
+) -> None:
+    path = idf("Version,7.2;\nBuilding,B" + ",1" * 30 + ";\nZoneHVAC:Old,it;")
+    with pytest.raises(InvalidConfig) as caught:
+        read(path)
+    (diagnostic,) = diagnose_unreadable(path, caught.value)
+    assert "is for EnergyPlus 7.2" in diagnostic.text
 
 
 def test_models__object_that_is_in_the_file_twice_is_an_error(idf: Callable[[str], Path]) -> None:
