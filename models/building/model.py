@@ -186,7 +186,8 @@ def read_building(entry: Entry) -> Building:
     if suffix == ".idf":
         upgraded = _read_idf(entry.path, raw, content)
     else:
-        upgraded = upgrade_epjson(_read_epjson(entry.path, raw), name=entry.path.name)
+        text = raw.decode("utf-8", errors="replace")
+        upgraded = upgrade_epjson(_read_epjson(entry.path, raw), name=entry.path.name, text=text)
     if "Building" not in upgraded.objects:
         raise InvalidConfig(f"{entry.path} is not a building model: it has no 'Building' object")
     expanded, notes = _expand(upgraded.objects, entry.path)

@@ -57,7 +57,7 @@ def upgrade_file(path: Path, programs: Path | None = None) -> UpgradedModel:
         raise InvalidConfig(f"{path} is not an epJSON file: {error}") from None
     if not isinstance(objects, dict):
         raise InvalidConfig(f"{path} is not an epJSON file: it is not an object")
-    return upgrade_epjson(objects, name=path.name)
+    return upgrade_epjson(objects, name=path.name, text=raw.decode("utf-8", errors="replace"))
 
 
 def cached_upgrade(text: str, *, name: str) -> UpgradedModel:

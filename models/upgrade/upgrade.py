@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from zenostat.models import energyplus, schema
+from zenostat.models.input_format.epjson_reader import read_epjson
 from zenostat.models.input_format.idf_reader import idf_version, read_idf, version_line
 from zenostat.models.input_format.source_model import ObjectsOfType, SourceModel
 from zenostat.models.upgrade.apply import apply
@@ -66,8 +67,16 @@ def upgrade_idf(text: str, *, name: str, engine: str | None = None) -> UpgradedM
     return _upgrade(read_idf(text, layout_of(own, name=name), name=name), version, name, engine)
 
 
-def upgrade_epjson(objects: Mapping[str, Any], *, name: str, engine: str | None = None) -> UpgradedModel:
+def upgrade_epjson(
+    objects: Mapping[str, Any], *, name: str, text: str = "", engine: str | None = None
+) -> UpgradedModel:
     """Upgrade a whole epJSON; the input is not modified, and one of the engine's version is used as it is.
+
+    Args:
+        objects: of the file.
+        name: of the file.
+        text: of the file; without it, errors have no lines.
+        engine: the version to upgrade to; None for the installed one.
 
     Raises:
         InvalidConfig: it is not an epJSON, its version cannot be upgraded, or no rule covers what changed.
@@ -77,7 +86,7 @@ def upgrade_epjson(objects: Mapping[str, Any], *, name: str, engine: str | None 
             "\n".join([f"{name} is not an epJSON file:", *schema.schema_errors(objects, complete=False)])
         )
     version = next((fields.get("version_identifier") for fields in objects.get("Version", {}).values()), None)
-    return _upgrade(SourceModel(objects=dict(objects)), version, name, engine or energyplus.version())
+    return _upgrade(SourceModel(objects=dict(objects)), version, name, engine or energyplus.version(), text)
 
 
 def _all_fields(items: Mapping[str, Any]) -> bool:
@@ -94,7 +103,7 @@ def _entry_errors(objects: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Ite
                         yield f"{kind} {name!r}: {field}[{index}] is {entry!r}; expected fields by name"
 
 
-def _upgrade(source: SourceModel, version: object, name: str, engine: str) -> UpgradedModel:
+def _upgrade(source: SourceModel, version: object, name: str, engine: str, epjson: str = "") -> UpgradedModel:
     steps = steps_between(version, engine, name)
     target = short(engine)
     if not steps:
@@ -108,6 +117,7 @@ def _upgrade(source: SourceModel, version: object, name: str, engine: str) -> Up
     model.objects["Version"] = {key: {"version_identifier": target} for key in list(model.objects["Version"])[:1]}
     refusals = [*model.refusals, *_schema_refusals(model)]
     if refusals:
+        source = read_epjson(epjson) if epjson else source
         lines = list(dict.fromkeys(_describe(refusal, source) for refusal in refusals))
         head = f"{name} is for EnergyPlus {version} and cannot be upgraded to {target}:"
         raise InvalidConfig(list_errors(head, lines))

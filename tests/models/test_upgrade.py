@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from zenostat.models import catalog, energyplus, schema
 from zenostat.models.building.model import read_building
 from zenostat.models.catalog import find_building
 from zenostat.models.upgrade.apply import apply
+from zenostat.models.upgrade.files import upgrade_file
 from zenostat.models.upgrade.step import UpgradingModel
 from zenostat.models.upgrade.upgrade import UpgradedModel, upgrade_epjson, upgrade_idf
 from zenostat.models.upgrade.versions import STEPS, schema_document
@@ -569,6 +571,17 @@ def test_upgrade__unknown_field_and_type_of_an_epjson_are_refused_by_name() -> N
     field, kind = message.split("\n")[1:]
     assert field.startswith("  Zone 'core': has no field 'multiplyer'; did you mean 'multiplier'")
     assert kind.startswith("  Zonne: EnergyPlus has no object type 'Zonne'; did you mean ")
+
+
+def test_upgrade__what_does_not_fit_is_refused_by_the_line_of_an_epjson(tmp_path: Path) -> None:
+    rules = {"starting_vertex_position": "UpperLeftCorner", "vertex_entry_direction": "Around"}
+    old = model("9.2", Building={"B": {}}, GlobalGeometryRules={"G": rules | {"coordinate_system": "World"}})
+    path = tmp_path / "old.epJSON"
+    path.write_text(json.dumps(old, indent=1))
+    line = 1 + next(i for i, text in enumerate(path.read_text().splitlines()) if "Around" in text)
+    for read in (lambda: upgrade_file(path), lambda: read_building(find_building(str(path)))):
+        with pytest.raises(InvalidConfig, match=rf"\n  line {line}: GlobalGeometryRules 'G': .*'Around'"):
+            read()
 
 
 def test_upgrade__objects_that_are_none_are_refused() -> None:
