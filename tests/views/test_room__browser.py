@@ -408,6 +408,7 @@ def test_room__prometheus_and_grafana_read_with_their_token(room: Any, bus: zeno
         values = {line.rpartition(" ")[0]: float(line.rpartition(" ")[2]) for line in lines if line[0] != "#"}
         assert values['zenostat_node_up{node="office"}'] == 1
         assert values['zenostat_node_paused{node="office"}'] == 1
+        assert values['zenostat_node_speed_ratio{node="office"}'] == 0
         targets = client.post("/grafana/metrics", json={}).json()
         assert {"label": f"office/{SETPOINT}", "value": f"office/{SETPOINT}"} in targets
         query = {

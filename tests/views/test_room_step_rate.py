@@ -41,6 +41,21 @@ def test_step_rate__of_a_paused_node_is_0_and_afterwards_that_of_new_steps() -> 
     assert rates[2 * 102 :] == pytest.approx([30.0] * len(rates[2 * 102 :]))
 
 
+def test_step_rate__is_0_as_soon_as_the_node_says_that_it_is_paused() -> None:
+    """Real time with steps of 15 min: without its word, a pause shows after half an hour."""
+    rate = StepRate()
+    for step in range(3):
+        rate.add(900.0 * step, 1, step)
+    assert rate.rate(1800.0, 900.0) == pytest.approx(1.0)
+    rate.add(1801.0, 1, 2, is_stopped=True)
+    assert rate.rate(1801.0, 900.0) == 0.0
+    for now_s, step in ((2000.0, 2), (2500.0, 3)):
+        rate.add(now_s, 1, step)
+        assert rate.rate(now_s, 900.0) is None
+    rate.add(3400.0, 1, 4)
+    assert rate.rate(3400.0, 900.0) == pytest.approx(1.0)
+
+
 def test_step_rate__begins_anew_with_an_episode() -> None:
     rate = StepRate()
     for now_s, episode, step in ((0.0, 1, 7), (1.0, 1, 8), (2.0, 1, 9), (3.0, 2, 0)):

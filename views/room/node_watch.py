@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import NodeLost, NodeNotFound, RequestRejected, ZenostatError
-from zenostat.topics.messages import Event, EventKind, Geometry, Manifest, Systems
+from zenostat.topics.messages import Event, EventKind, Geometry, Manifest, State, Systems
 from zenostat.topics.points import value_index
 from zenostat.views.room.description import NodeDescription, describe
 from zenostat.views.room.numbers import to_json
@@ -27,6 +27,7 @@ POLL_S = 0.5
 _ABSENT_POLL_S, _LONGEST_ABSENT_POLL_S = 2.0, 60.0
 """Time between polls of an absent node, doubled by each; its liveliness token shows its return at once."""
 _PAUSE_S = 0.1
+_END_STATES = (State.ENDED, State.FAILED, State.STOPPED)
 _EVENTS = 500
 _EVENTS_SENT = 40
 
@@ -153,7 +154,8 @@ class NodeWatch:
             alarms, faults = self._unless_refused(self._bus.alarms), self._unless_refused(self._bus.fault_plan)
             self.state = node_state(self.description, status, sample, alarms, faults)
             self.problem, self.has_ended = "", False
-            self._step_rate.add(time.monotonic(), status.episode[0], status.step[0])
+            is_stopped = status.state in _END_STATES or (status.paused and not status.steps_left)
+            self._step_rate.add(time.monotonic(), status.episode[0], status.step[0], is_stopped=is_stopped)
         except (NodeLost, NodeNotFound):
             is_replay = self.description is not None and self.description.manifest.replay
             self.has_ended = self.has_ended or self._is_stopped or is_replay

@@ -1,4 +1,4 @@
-"""How fast a node simulates, from the step that it is at whenever it is asked."""
+"""The speed of a node's simulation, from the step that it is at whenever it is asked."""
 
 from __future__ import annotations
 
@@ -13,20 +13,25 @@ _STALLED = 2.0
 class StepRate:
     """Simulated seconds per second, measured between changes of the step, whatever the distance between two polls."""
 
-    __slots__ = ("_at", "_changes")
+    __slots__ = ("_at", "_changes", "_is_stopped")
 
     def __init__(self) -> None:
         self._at: tuple[int, int] | None = None
+        self._is_stopped = False
         self._changes: deque[tuple[float, int]] = deque()
 
     def clear(self) -> None:
         """Forget what was seen."""
-        self._at = None
+        self._at, self._is_stopped = None, False
         self._changes.clear()
 
-    def add(self, now_s: float, episode: int, step: int) -> None:
-        """Add a poll: `episode` and `step` of the node at `now_s` of a monotonic clock."""
+    def add(self, now_s: float, episode: int, step: int, *, is_stopped: bool = False) -> None:
+        """Add a poll: `episode` and `step` of the node at `now_s` of a monotonic clock; `is_stopped`: it is paused."""
         before, self._at = self._at, (episode, step)
+        self._is_stopped = is_stopped
+        if is_stopped:
+            self._changes.clear()
+            return
         if before is None or before == self._at:
             return
         changes = self._changes
@@ -43,7 +48,7 @@ class StepRate:
             now_s: the present time of the same clock.
             step_s: length of a timestep in s.
         """
-        if self._has_stalled(now_s):
+        if self._is_stopped or self._has_stalled(now_s):
             return 0.0
         if len(self._changes) < 2:
             return None
