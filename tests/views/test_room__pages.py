@@ -435,3 +435,26 @@ def test_pages__used_link_leaves_a_browser_signed_in(browser: Any, room: Any) ->
     page.locator(".card").first.wait_for()
     assert "token" not in page.url
     visitor.close()
+
+
+CHART = """async ([module, ...parts]) => {
+    const { chart } = await import(module), root = document.createElement("div");
+    document.body.append(root);
+    const series = parts.map(([unit, values]) => ({ label: unit, unit, color: "#2878dc", values }));
+    const plot = chart(root, { time: parts[0][1].map((_, place) => 1e9 + 3600 * place), series });
+    await new Promise(requestAnimationFrame);
+    const range = ({ scale }) => [plot.scales[scale].min, plot.scales[scale].max];
+    return [[plot.scales.x.min, plot.scales.x.max], ...plot.series.slice(1).map(range)];
+}"""
+
+
+@pytest.mark.parametrize("units", [["x"], ["degC", "x"], ["", "1"], ["a", "b", "c", "d", "e"]])
+def test_chart__values_of_each_unit_are_within_their_scale(ada: Visitor, room: Any, units: list[str]) -> None:
+    page = ada.open(room.url)
+    page.locator(".card").first.wait_for()
+    parts = [[unit, [10.0**place, 2 * 10.0**place, 3 * 10.0**place]] for place, unit in enumerate(units)]
+    times, *ranges = page.evaluate(CHART, [f"{room.url}/static/trends.js", *parts])
+    assert times == [1e9, 1e9 + 7200]
+    for (low, high), (_, values) in zip(ranges, parts, strict=True):
+        assert low <= values[0] < values[2] <= high
+        assert high - low < 2 * (values[2] - values[0])

@@ -8,7 +8,8 @@ import { change, view } from "./view.js";
 const uPlot = window.uPlot;
 export const COLORS = ["#2878dc", "#eb6e00", "#00903c", "#b44696", "#8a6fd1", "#c08a1e", "#19a0a5", "#e0566f", "#6b7f95", "#4f9a2f"];
 export const RANGES = [["6", "6 h"], ["24", "24 h"], ["72", "3 d"], ["168", "7 d"], ["all", "all"]];
-const MAX_SAMPLES = 1200;
+const MAX_SAMPLES = 1200, MAX_LINES = 24, MAX_AXES = 4;
+const NO_BAND = { unit: "", low: null, high: null };
 
 function css(name) {
   return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
@@ -35,15 +36,18 @@ function padded(low, high, unit) {
   return [low >= 0 && low - pad < 0 ? 0 : low - pad, high + pad];
 }
 
+/** Key of the scale of a unit: units are free texts, and `x` is the key of the time axis. */
+const scaleOf = (unit) => `unit ${unit}`;
+
 /** Create a chart of some series on an axis of times, or of steps; `series` have label, unit, color, values and optionally stepped, dash, lows, highs. */
 export function chart(root, { time, series, band = null, height = 260, onZoom = null, onReset = null, range = null, isTime = true, least = 60 }) {
-  const units = [...new Set(series.map((each) => each.unit))].slice(0, 4);
+  const units = [...new Set(series.map((each) => each.unit))];
   const grid = css("--grid"), text = css("--muted");
   const font = "12px system-ui, sans-serif";
   const axes = [
     { stroke: text, font, grid: { stroke: grid, width: 1 }, ticks: { stroke: grid }, values: isTime ? timeLabels : (_, splits) => ticks(splits), space: 64, size: isTime ? 46 : 30 },
-    ...units.map((unit, place) => ({
-      scale: unit || "1", side: place === 0 ? 3 : 1, stroke: text, font, size: 58, ticks: { stroke: grid },
+    ...units.slice(0, MAX_AXES).map((unit, place) => ({
+      scale: scaleOf(unit), side: place === 0 ? 3 : 1, stroke: text, font, size: 58, ticks: { stroke: grid },
       grid: { show: place === 0, stroke: grid, width: 1 }, values: (_, splits) => ticks(splits),
       label: unit || undefined, labelFont: font, labelSize: 18, labelGap: 0,
     })),
@@ -51,7 +55,7 @@ export function chart(root, { time, series, band = null, height = 260, onZoom = 
   const around = isTime ? 1800 : 1;  // of a single sample
   const scales = { x: { time: isTime, range: (_, from, to) => range ?? (from !== null && from === to ? [from - around, to + around] : [from, to]) } };
   for (const unit of units) {
-    scales[unit || "1"] = { range: (_, least, most) => {
+    scales[scaleOf(unit)] = { range: (_, least, most) => {
       if (least === null) return [0, 1];
       const limits = series.filter((each) => each.unit === unit && each.lows).flatMap((each) => [...each.lows, ...each.highs]).filter((value) => value !== null);
       return padded(limits.reduce((first, value) => Math.min(first, value), least), limits.reduce((first, value) => Math.max(first, value), most), unit);
@@ -65,7 +69,7 @@ export function chart(root, { time, series, band = null, height = 260, onZoom = 
     cursor: { drag: { x: true, y: false, setScale: false }, points: { size: 6 }, focus: { prox: 24 } },
     focus: { alpha: 0.35 },
     series: [{}, ...series.map((each) => ({
-      label: each.label, scale: each.unit || "1", stroke: each.color, width: each.width ?? 1.6, dash: each.dash,
+      label: each.label, scale: scaleOf(each.unit), stroke: each.color, width: each.width ?? 1.6, dash: each.dash,
       points: { show: each.dots ?? false, size: 5 }, spanGaps: each.gaps ?? false, paths: each.stepped ? uPlot.paths.stepped({ align: -1 }) : undefined,
       value: (_, value) => withUnit(value, each.unit),
     }))],
@@ -88,11 +92,10 @@ export function chart(root, { time, series, band = null, height = 260, onZoom = 
 
 /** Shade the comfort band: pairs of limits over the whole time axis. */
 function drawBand(plot, { unit, low, high }) {
-  if (!(unit in plot.scales) || low === null || high === null) return;
+  const key = scaleOf(unit), scale = plot.scales[key];
+  if (!scale || low === null || high === null || scale.min === null || scale.min === undefined) return;
   const { ctx } = plot, { left, top, width, height } = plot.bbox;
-  const scale = plot.scales[unit];
-  if (scale.min === null || scale.min === undefined) return;
-  const clamp = (value) => Math.min(top + height, Math.max(top, plot.valToPos(value, unit, true)));
+  const clamp = (value) => Math.min(top + height, Math.max(top, plot.valToPos(value, key, true)));
   ctx.save();
   ctx.fillStyle = css("--band");
   ctx.fillRect(left, clamp(high), width, clamp(low) - clamp(high));
@@ -103,7 +106,7 @@ function drawBand(plot, { unit, low, high }) {
 function drawExtremes(plot, place, series) {
   const each = series[place - 1];
   if (!each?.lows) return;
-  const { ctx } = plot, scale = each.unit || "1", time = plot.data[0];
+  const { ctx } = plot, scale = scaleOf(each.unit), time = plot.data[0];
   ctx.save();
   ctx.beginPath();
   ctx.rect(plot.bbox.left, plot.bbox.top, plot.bbox.width, plot.bbox.height);
@@ -308,7 +311,7 @@ export class Trends {
     const shape = JSON.stringify([this.canvas.clientWidth, css("--grid"), next.map((each) => [each.name, each.unit])]);
     if (this.plot && shape === this.shape) {
       next.forEach((each, column) => Object.assign(this.lines[column], each));
-      this.shownBand = Object.assign(this.shownBand, this.band() ?? { unit: "" });
+      this.shownBand = Object.assign(this.shownBand, this.band() ?? NO_BAND);
       this.plot.setData([data.time, ...next.map((each) => each.values)]);
       this.tip(this.plot, this.lines);
       return;
@@ -318,7 +321,7 @@ export class Trends {
     this.shape = shape;
     const series = next;
     this.lines = series;
-    this.shownBand = { ...(this.band() ?? { unit: "", low: null, high: null }) };
+    this.shownBand = { ...(this.band() ?? NO_BAND) };
     this.plot = chart(this.canvas, { time: data.time, series, band: this.shownBand, height: this.canvas.clientWidth < 500 ? 220 : 290,
       onZoom: (from, to) => change({ from: iso(from), to: iso(to) }, { replace: true }),
       onReset: () => change({ from: null, to: null }, { replace: true }) });
