@@ -458,3 +458,28 @@ def test_chart__values_of_each_unit_are_within_their_scale(ada: Visitor, room: A
     for (low, high), (_, values) in zip(ranges, parts, strict=True):
         assert low <= values[0] < values[2] <= high
         assert high - low < 2 * (values[2] - values[0])
+
+
+FORMAT = "async ([module, name, ...values]) => (await import(module))[name](...values)"
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "text"),
+    [
+        ("withUnit", [0.0002, "kW"], "0.2\u00a0W"),
+        ("withUnit", [-0.0123456, "kW"], "\u221212.3\u00a0W"),
+        ("withUnit", [0.5, "kW"], "0.500\u00a0kW"),
+        ("withUnit", [0.0, "kW"], "0\u00a0kW"),
+        ("withUnit", [1e-14, "kW"], "0\u00a0kW"),
+        ("ticks", [[0.0, 0.1, 0.2]], ["0.0", "0.1", "0.2"]),
+        ("ticks", [[0.0, 2.5, 5.0, 7.5]], ["0.0", "2.5", "5.0", "7.5"]),
+        ("ticks", [[0.0, 2e-7, 4e-7]], ["0", "2e\u22127", "4e\u22127"]),
+        ("ticks", [[0.0010005, 0.001001, 0.0010015]], ["1.0005e\u22123", "1.0010e\u22123", "1.0015e\u22123"]),
+        ("ticks", [[-1.00015e6, -1.0001e6]], ["\u22121.00015e+6", "\u22121.00010e+6"]),
+    ],
+)
+def test_format__small_and_close_numbers_are_told_apart(
+    ada: Visitor, room: Any, name: str, values: list[Any], text: str | list[str]
+) -> None:
+    page = ada.open(room.url)
+    assert page.evaluate(FORMAT, [f"{room.url}/static/format.js", name, *values]) == text

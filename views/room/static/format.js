@@ -16,25 +16,33 @@ function digits(unit, size) {
 export function num(value, unit = "") {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
   const size = Math.abs(value);
-  if ((size === 0 && unit !== "°C") || (unit === "kW" && size < 5e-4)) return "0";
+  if ((size === 0 && unit !== "°C") || (unit === "kW" && size < 5e-7)) return "0";
   if (size !== 0 && (size < 5e-4 || size >= 1e7)) return value.toExponential(2).replace("-", "\u2212");
   const text = value.toFixed(digits(unit, size));
   const plain = unit === "°C" || unit === "kW" || !text.includes(".") ? text : text.replace(/0+$/, "").replace(/\.$/, "");
   return plain.replace("-", "\u2212").replace(/\B(?=(\d{3})+(?!\d))(?<!\.\d*)/g, THIN);
 }
 
-/** Numbers of an axis, with as many digits as their distance needs. */
+/** Numbers of an axis, with as many digits as their distance needs; with an exponent if they are very large or small. */
 export function ticks(values) {
   const step = Math.abs((values[1] ?? 1) - (values[0] ?? 0)) || 1;
-  const places = Math.min(6, Math.max(0, -Math.floor(Math.log10(step) + 1e-9)));
+  const largest = Math.max(step, ...values.map(Math.abs));
+  const exponent = Math.floor(Math.log10(step) + 1e-9), multiple = step / 10 ** exponent;
+  const last = Math.abs(multiple - Math.round(multiple)) > 1e-6 ? exponent - 1 : exponent;  // of 2.5 it is that of 0.5
+  const places = Math.max(0, -last);
   return values.map((value) => {
-    if (Math.abs(value) >= 1e6) return value.toExponential(1).replace("-", "\u2212");
+    if (largest >= 1e6 || places > 6) {
+      if (value === 0) return "0";
+      const digits = Math.floor(Math.log10(Math.abs(value)) + 1e-9) - last;
+      return value.toExponential(Math.min(12, Math.max(0, digits))).replaceAll("-", "\u2212");
+    }
     return value.toFixed(places).replace("-", "\u2212").replace(/\B(?=(\d{3})+(?!\d))(?<!\.\d*)/g, THIN);
   });
 }
 
-/** A number with its unit. */
+/** A number with its unit; a power below 0.1 kW is in W. */
 export function withUnit(value, unit) {
+  if (unit === "kW" && Math.abs(value) >= 5e-7 && Math.abs(value) < 0.1) return withUnit(value * 1e3, "W");
   const text = num(value, unit);
   return text === "–" || !unit ? text : `${text}\u00a0${unit}`;
 }
