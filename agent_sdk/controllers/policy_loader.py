@@ -41,8 +41,8 @@ def load_policy(
 
     Raises:
         UnknownName: No such file or algorithm.
-        InvalidConfig: The file is not a model of that algorithm; its normalization is missing or does not fit; or the
-            folder was written by another version.
+        InvalidConfig: The file is not a model of that algorithm; its normalization is missing or does not fit; its
+            wrappers cannot be written as data; or the folder was written by another version.
     """
     name, colon, rest = str(path).partition(":")
     if algorithm is None and colon:
@@ -72,12 +72,23 @@ def load_policy(
 
 
 def _read_chain(model: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return the wrappers that `save_wrappers` wrote beside a model, innermost first, and their states."""
+    """Return the wrappers that `save_wrappers` wrote beside a model, innermost first, and their states.
+
+    Raises:
+        InvalidConfig: some of them could not be written.
+    """
     file = training_folder.wrappers_path(model)
     if not file.is_file():
         return [], []
     content = yaml12.read_mapping(file)
-    return list(content.get("chain", [])), list(content.get("wrappers", []))
+    chain, states = list(content.get("chain", [])), list(content.get("wrappers", []))
+    reason = content.get("chain_error", "it has no chain" if states and not chain else None)
+    if reason is not None:
+        raise InvalidConfig(
+            f"{file}: the wrappers of the training of {model.name} cannot be applied again: {reason}; run the model in "
+            "an environment within the same wrappers: evaluate_model(model, env)"
+        )
+    return chain, states
 
 
 def load_model(path: Path, algorithm: str | type[BaseAlgorithm]) -> tuple[BaseAlgorithm, VecNormalize | None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +13,7 @@ from gymnasium.vector import VectorWrapper
 
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
 from zenostat.agent_sdk.wrappers.names import inside, layers
-from zenostat.agent_sdk.wrappers.serialization import wrappers_of
+from zenostat.agent_sdk.wrappers.serialization import policy_wrappers
 from zenostat.topics import yaml12
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidConfig
@@ -36,9 +36,11 @@ def save_wrappers(env: Any, path: str | Path) -> None:
     """Write the wrappers of `env` and their state: those of `zenostat.wrappers`, and Gymnasium's running statistics.
 
     Beside a model, as `model.wrappers.yaml` beside `model.zip`, the file lets `load_policy` and `zenostat evaluate`
-    apply the same wrappers again; of a chain with wrappers that cannot be written as data it has the state alone.
-    Includes the wrappers of each slot's environment in a `SyncVectorEnv`. The YAML file is written atomically, and its
-    folder is created. Save between episodes: the state of the simulation is not saved.
+    apply the same wrappers again. Wrappers that cannot be written as data are left out if they change neither
+    observations nor actions, as `TransformReward`, `RecordVideo` and the `Monitor` of stable-baselines3; of a chain
+    with others, the file has the state and the reason, with which `load_policy` refuses the model. Includes the
+    wrappers of each slot's environment in a `SyncVectorEnv`. The YAML file is written atomically, and its folder is
+    created. Save between episodes: the state of the simulation is not saved.
 
     Args:
         env: single or vector.
@@ -47,9 +49,11 @@ def save_wrappers(env: Any, path: str | Path) -> None:
     content: dict[str, Any] = {
         "wrappers": [{"wrapper": wrapper.name, **wrapper.get()} for wrapper in _stateful_wrappers(env)]
     }
-    with suppress(InvalidConfig):
-        if chain := wrappers_of(env):
+    try:
+        if chain := policy_wrappers(env):
             content["chain"] = chain
+    except InvalidConfig as error:
+        content["chain_error"] = str(error)
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_file(path) as temporary:

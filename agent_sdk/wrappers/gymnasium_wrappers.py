@@ -14,37 +14,39 @@ class Trait(Flag):
     ACTION_UNITS = auto()  # it changes the units of actions
     SCALAR_REWARD = auto()  # it needs a reward that is one number
     SKIPS_STEPS = auto()  # it takes several timesteps in a step, and returns the info of the last one
+    KEEPS_POLICY = auto()  # it changes neither observations nor actions
 
 
 _ANY = Trait.DATA | Trait.KEEPS_ORDER
+_NEUTRAL = Trait.KEEPS_ORDER | Trait.KEEPS_POLICY
 _TRAITS = {
-    "Autoreset": Trait.KEEPS_ORDER,
+    "Autoreset": _NEUTRAL,
     "ClipAction": _ANY,
-    "ClipReward": _ANY | Trait.SCALAR_REWARD,
+    "ClipReward": _ANY | Trait.KEEPS_POLICY | Trait.SCALAR_REWARD,
     "DelayObservation": _ANY,
-    "DictInfoToList": Trait.KEEPS_ORDER,
+    "DictInfoToList": _NEUTRAL,
     "DiscretizeAction": _ANY | Trait.ACTION_UNITS,
     "DiscretizeObservation": Trait.DATA | Trait.OBSERVATION_UNITS,
     "DtypeObservation": _ANY,
     "FlattenObservation": Trait.DATA,
     "FrameStackObservation": Trait.DATA,
-    "HumanRendering": Trait.KEEPS_ORDER,
+    "HumanRendering": _NEUTRAL,
     "MaxAndSkipObservation": _ANY | Trait.SCALAR_REWARD | Trait.SKIPS_STEPS,
     "NormalizeObservation": _ANY | Trait.OBSERVATION_UNITS,
-    "NormalizeReward": _ANY | Trait.SCALAR_REWARD,
-    "OrderEnforcing": Trait.KEEPS_ORDER,
-    "PassiveEnvChecker": Trait.KEEPS_ORDER,
-    "RecordEpisodeStatistics": _ANY | Trait.SCALAR_REWARD,
-    "RecordVideo": Trait.KEEPS_ORDER,
-    "RenderCollection": Trait.KEEPS_ORDER,
+    "NormalizeReward": _ANY | Trait.KEEPS_POLICY | Trait.SCALAR_REWARD,
+    "OrderEnforcing": _NEUTRAL,
+    "PassiveEnvChecker": _NEUTRAL,
+    "RecordEpisodeStatistics": _ANY | Trait.KEEPS_POLICY | Trait.SCALAR_REWARD,
+    "RecordVideo": _NEUTRAL,
+    "RenderCollection": _NEUTRAL,
     "RepeatAction": _ANY | Trait.SCALAR_REWARD | Trait.SKIPS_STEPS,
     "RescaleAction": _ANY | Trait.ACTION_UNITS,
     "RescaleObservation": _ANY | Trait.OBSERVATION_UNITS,
     "StickyAction": _ANY,
     "TimeAwareObservation": Trait.DATA,
-    "TimeLimit": _ANY,
+    "TimeLimit": _ANY | Trait.KEEPS_POLICY,
     "TransformAction": Trait.KEEPS_ORDER | Trait.ACTION_UNITS,
-    "TransformReward": Trait.KEEPS_ORDER,
+    "TransformReward": _NEUTRAL,
 }
 
 

@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.vector import VectorEnv, VectorWrapper
+from gymnasium.vector import AsyncVectorEnv, VectorEnv, VectorWrapper
 from pydantic import BaseModel
 
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
@@ -20,7 +20,7 @@ from zenostat.agent_sdk.wrappers.episode_log import EpisodeLog
 from zenostat.agent_sdk.wrappers.gymnasium_wrappers import GYMNASIUMS, Trait, wrappers_with
 from zenostat.agent_sdk.wrappers.incremental import DiscreteIncrementalAction, IncrementalAction
 from zenostat.agent_sdk.wrappers.metric_loggers import TensorBoardLog, WeightsAndBiasesLog
-from zenostat.agent_sdk.wrappers.names import reject_wrappers, unknown_arguments
+from zenostat.agent_sdk.wrappers.names import layers, reject_wrappers, unknown_arguments
 from zenostat.agent_sdk.wrappers.numeric_infos import NumericInfos
 from zenostat.agent_sdk.wrappers.observation import (
     CyclicTime,
@@ -59,6 +59,12 @@ OURS: dict[str, type[BuildingWrapper]] = {
 """The wrappers of `zenostat.wrappers` by name."""
 
 _CHECKS = ("PassiveEnvChecker", "OrderEnforcing")
+_LEFT_OUT = {
+    "gymnasium": tuple(name for name in wrappers_with(Trait.KEEPS_POLICY) if name not in GYMNASIUMS),
+    "stable_baselines3": ("Monitor",),
+    "zenostat": ("_PairedEnv", "_PairedVectorEnv"),
+}
+"""Wrappers of each package without which a policy acts alike, and which cannot be written as data."""
 _SCALAR_REWARD_WRAPPERS = wrappers_with(Trait.SCALAR_REWARD)
 _ARRAY_ARGUMENTS = ("min_action", "max_action", "min_obs", "max_obs")
 _applied_arguments: WeakKeyDictionary[Any, dict[str, Any]] = WeakKeyDictionary()
@@ -156,6 +162,26 @@ def wrappers_of(env: Any) -> list[dict[str, Any]]:
         InvalidConfig: a wrapper or one of its arguments cannot be written as data.
     """
     return [_entry(layer) for layer in list(_chain(env))[::-1] if type(layer).__name__ not in _CHECKS]
+
+
+def policy_wrappers(env: Any) -> list[dict[str, Any]]:
+    """Return the wrappers within which a policy of `env` acts, in the form of `apply_wrappers`, innermost first.
+
+    Wrappers that change neither observations nor actions may be left out. Those of the first slot's environment in a
+    `SyncVectorEnv` are included.
+
+    Raises:
+        InvalidConfig: another wrapper or one of its arguments cannot be written as data, or is in another process.
+    """
+    if isinstance(env.unwrapped, AsyncVectorEnv):
+        raise InvalidConfig("the wrappers within the processes of an AsyncVectorEnv cannot be read")
+    chain = [layer for layer in layers(env) if isinstance(layer, gym.Wrapper | VectorWrapper)]
+    return [_entry(layer) for layer in chain[::-1] if not _is_left_out(layer)]
+
+
+def _is_left_out(layer: Any) -> bool:
+    kind = type(layer)
+    return kind.__name__ in _LEFT_OUT.get(kind.__module__.partition(".")[0], ())
 
 
 def _chain(env: Any) -> Iterator[Any]:

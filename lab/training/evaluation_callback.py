@@ -232,18 +232,16 @@ def _check_environment(model: BaseAlgorithm, env: Any) -> None:
 def _copy_wrapper_state(training: Any, env: gym.Env[Any, Any]) -> str:
     """Copy what the wrappers of the training's first environment have learnt to those of `env`; return it as text.
 
-    Environments in other processes cannot be read: use `VecNormalize` there.
+    Environments in other processes cannot be read: use `VecNormalize` there. The wrappers are then those of `env`.
     """
     base = training.unwrapped  # the wrappers of slots are around the vector environment
     envs = getattr(base, "envs", None) or [env for env in [getattr(base, "env", None)] if env is not None]
-    if not envs:
-        return ""
     with TemporaryDirectory(prefix="zenostat-") as folder:
         path = Path(folder) / "learnt.yaml"
-        save_wrappers(envs[0], path)
+        save_wrappers(envs[0] if envs else env, path)
         text = path.read_text(encoding="utf-8")
-        content = yaml12.parse(text, str(path))
-        if states := content["wrappers"]:
-            logs = any(type(layer).__name__ in LOGS for layer in layers(env))  # an evaluation need not log
-            set_wrapper_states(env, states if logs else without_logs(states), "the training's wrappers")
-    return text if content["wrappers"] or "chain" in content else ""
+    content = yaml12.parse(text, str(path))
+    if envs and (states := content["wrappers"]):
+        logs = any(type(layer).__name__ in LOGS for layer in layers(env))  # an evaluation need not log
+        set_wrapper_states(env, states if logs else without_logs(states), "the training's wrappers")
+    return text if content != {"wrappers": []} else ""

@@ -158,5 +158,32 @@ def test_policy__state_of_wrappers_is_restored_with_and_without_the_chain(tmp_pa
             save_wrappers(env, file)
         content = yaml12.parse(file.read_text(), str(file))
         assert content.get("chain") == (None if with_own else [{"wrapper": "NormalizeObservation"}])
+        assert content.get("chain_error", "").startswith("Mine cannot be written" if with_own else "")
         with closing(chain(with_own=with_own)) as env:
             restore_wrappers(env, file)
+
+
+def test_policy__model_within_wrappers_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "model.wrappers.yaml"
+    with closing(gym.wrappers.TransformAction(FakeEnv(**DAY), lambda action: action + 1.0, None)) as env:
+        PPO("MlpPolicy", env, n_steps=8, batch_size=8, device="cpu").save(tmp_path / "model.zip")
+        save_wrappers(env, file)
+    with pytest.raises(InvalidConfig, match=r"TransformAction cannot be written as data.*evaluate_model\(model, env\)"):
+        load_policy(tmp_path / "model.zip", "ppo")
+    file.write_text("wrappers:\n- wrapper: CyclicTime\n  slots: [{}]\n")
+    with pytest.raises(InvalidConfig, match="it has no chain"):
+        load_policy(tmp_path / "model.zip", "ppo")
+
+
+def test_policy__wrappers_of_slots_are_those_of_a_controller(tmp_path: Path) -> None:
+    """Those around and within the environments of one process; those in other processes cannot be read."""
+
+    def make_env() -> Any:
+        return gym.wrappers.RepeatAction(FakeEnv(**DAY), 2)
+
+    envs = gym.vector.SyncVectorEnv([make_env, make_env])
+    file = tmp_path / "model.wrappers.yaml"
+    with closing(gym.wrappers.vector.RescaleAction(envs, *ONE)) as env:
+        save_wrappers(env, file)
+    names = [entry["wrapper"] for entry in yaml12.read_mapping(file)["chain"]]
+    assert names == ["RepeatAction", "RescaleAction"]

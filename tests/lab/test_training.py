@@ -24,7 +24,7 @@ torch = pytest.importorskip("torch")
 from stable_baselines3 import A2C, DQN, PPO, SAC, TD3  # noqa: E402
 from stable_baselines3.common.env_checker import check_env  # noqa: E402
 from stable_baselines3.common.logger import KVWriter, Logger  # noqa: E402
-from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize  # noqa: E402
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnvWrapper, VecNormalize  # noqa: E402
 
 from zenostat.lab.training import EvaluationCallback, PolicyController, evaluate_model, load_policy  # noqa: E402
 
@@ -240,6 +240,38 @@ def test_training__what_wrappers_have_learnt_is_used_and_kept(tmp_path: Path) ->
     assert evaluate_model(PPO.load(best, device="cpu"), env) == callback.results[48]
     (blank,) = evaluate_model(PPO.load(best, device="cpu"), make_env())
     assert blank != callback.results[48][0]
+
+
+class InOtherProcesses(VecEnvWrapper):
+    """Hides the environments, as `SubprocVecEnv` does."""
+
+    unwrapped = None
+
+    def reset(self) -> Any:
+        return self.venv.reset()
+
+    def step_wait(self) -> Any:
+        return self.venv.step_wait()
+
+
+@pytest.mark.parametrize("vectorize", [lambda env: env, lambda env: InOtherProcesses(DummyVecEnv([lambda: env]))])
+def test_training__best_model_acts_within_the_wrappers_of_its_training(tmp_path: Path, vectorize: Any) -> None:
+    """Also within those that leave the spaces as they are; stable-baselines3 adds its `Monitor` to a single one."""
+
+    def make_env() -> gym.Env[Any, Any]:
+        env = gym.wrappers.RescaleAction(fake(control="building"), np.float32(-1), np.float32(1))
+        env = gym.wrappers.DelayObservation(gym.wrappers.RepeatAction(env, 4), 1)
+        return gym.wrappers.TransformReward(env, lambda reward: reward)
+
+    best = tmp_path / "best.zip"
+    model = ppo(vectorize(make_env()))
+    with torch.no_grad():  # a policy that reacts to what it observes
+        model.policy.action_net.weight.normal_(0.0, 5.0)
+    callback = EvaluationCallback(make_env, every=48, seed=4, best_model_path=best)
+    model.learn(48, callback=callback)
+    building = FakeBuilding(zones=2, begin="07-03", steps_per_hour=1, climate=Climate(noise_k=2.0), control="building")
+    (row,) = evaluate({"link": FakeLink(building)}, {"policy": load_policy(best, "ppo")}, episodes=1, seed=4).rows
+    assert row.result.reward == pytest.approx(callback.results[48][0].reward, rel=1e-12)
 
 
 def test_training__mistakes_in_a_callback(tmp_path: Path) -> None:
