@@ -30,6 +30,7 @@ class Beginning:
         recorder: the warm-up and this sample.
         sample: the sample.
         baseline: the building under the baseline control from it on.
+        weather: weather of the node's run period.
     """
 
     time_s: int
@@ -37,6 +38,7 @@ class Beginning:
     recorder: TrajectoryRecorder
     sample: SampleView
     baseline: Baseline
+    weather: Weather
 
 
 class Episodes:
@@ -52,7 +54,6 @@ class Episodes:
         schedules: setpoints and occupants.
         building: the node.
         interruption: as above.
-        weather: weather of its run period.
     """
 
     def __init__(self, arguments: Mapping[str, Any], interruption: Interruption, name: str = "boptest") -> None:
@@ -63,7 +64,7 @@ class Episodes:
             manifest = self.building.main.manifest
             self.table = PointTable(manifest)
             self.schedules = ZoneSchedules(manifest)
-            self.weather = _weather(self.building)
+            self._weather = _weather(self.building)
         except BaseException:
             self.building.close()
             raise
@@ -89,13 +90,17 @@ class Episodes:
         beginning = self._kept[key] = self._simulate(start, begin)
         return beginning
 
+    def keeps(self, beginning: Beginning) -> bool:
+        """Return whether a beginning can be returned to; those of another node have ended with it."""
+        return beginning in self._kept.values()
+
     def has_room(self, in_use: Sequence[Beginning]) -> bool:
         """Return whether the node can have snapshots and branches of these beginnings, one for each mention.
 
         The node also has a snapshot and, as soon as it is needed, a branch for the baseline of each beginning that is
         kept: those in use, and the last four others.
         """
-        copies = sum(beginning in self._kept.values() for beginning in in_use)  # others ended with their node
+        copies = sum(map(self.keeps, in_use))
         others = sum(beginning not in in_use for beginning in self._kept.values())
         return copies + 2 * (len(self._kept) - others + max(others, _MAX_KEPT)) <= MAX_COPIES
 
@@ -106,7 +111,7 @@ class Episodes:
         self._kept.clear()
         self.building.close()
         self.building = Building(self._arguments, first_day, interruption=self.interruption, name=self._name)
-        self.weather = _weather(self.building)
+        self._weather = _weather(self.building)
 
     def _simulate(self, start: int, begin: int) -> Beginning:
         building, main = self.building, self.building.main
@@ -122,7 +127,8 @@ class Episodes:
         main.run_free((start - building.begin_s) // building.step_s, add)
         first, snapshot = main.sample, main.snapshot()
         create = _branch_of(main, snapshot)
-        return Beginning(start, snapshot, recorder, first, Baseline(create, first, start, building.step_s))
+        baseline = Baseline(create, first, start, building.step_s)
+        return Beginning(start, snapshot, recorder, first, baseline, self._weather)
 
     def _drop(self, key: tuple[int, int]) -> None:
         dropped = self._kept.pop(key)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass
+from threading import RLock
 from typing import Any
 from weakref import WeakSet
 
 from zenostat.gateways.boptest import parsing
 from zenostat.gateways.boptest.cases import TestCase
-from zenostat.gateways.boptest.episodes import Beginning, Episodes
-from zenostat.gateways.boptest.kpis import TestKpis, TimeRatio
+from zenostat.gateways.boptest.episodes import Beginning
+from zenostat.gateways.boptest.kpis import TestKpis
 from zenostat.gateways.boptest.parsing import BadRequest
 from zenostat.gateways.boptest.prices import Rates
 from zenostat.gateways.boptest.session import Answer, BuildingTest
@@ -23,7 +25,6 @@ from zenostat.topics.errors import did_you_mean
 class _Saved:
     """The state of a test at a snapshot."""
 
-    simulation: Simulation
     name: str
     beginning: Beginning
     recorder: TrajectoryRecorder
@@ -42,14 +43,12 @@ class ExtendedTest(BuildingTest):
         case: TestCase,
         rates: Rates,
         days: Callable[[], Mapping[str, int]],
-        episodes: Episodes | None = None,
-        simulation: Simulation | None = None,
         interruption: Interruption | None = None,
         client: str = "",
     ) -> None:
         self._saved: dict[str, _Saved] = {}
         self._branches: WeakSet[ExtendedTest] = WeakSet()
-        super().__init__(case, rates, days, episodes, simulation, interruption, client)
+        super().__init__(case, rates, days, interruption, client)
 
     def _beginnings_in_use(self) -> list[Beginning]:
         """Return the beginning of each snapshot and branch."""
@@ -69,8 +68,8 @@ class ExtendedTest(BuildingTest):
         self._check_room()
         name = self.simulation.snapshot()
         self._saved[name] = _Saved(
-            self.simulation, name, self.beginning, self.recorder.copy(), self.first_row, self.end_s, self.is_over,
-            self.step_s, dict(self.scenario),
+            name, self.beginning, self.recorder.copy(), self.first_row, self.end_s, self.is_over, self.step_s,
+            dict(self.scenario),
         )  # fmt: skip
         return "Snapshot taken successfully.", {"snapshot": name, "time": self.time_s}
 
@@ -78,47 +77,44 @@ class ExtendedTest(BuildingTest):
         """Return to a snapshot; it can be used again."""
         saved = self._find(fields)
         self.simulation.reset(saved.name)
-        self._adopt(saved)
+        self.beginning, self.recorder = saved.beginning, saved.recorder.copy()
+        self.first_row, self.end_s, self.is_over = saved.first_row, saved.end_s, saved.is_over
+        self.step_s, self.scenario = saved.step_s, dict(saved.scenario)
+        self._restart_figures()
         return f"Test returned to the snapshot at {float(self.time_s)}s.", self.state()
 
     def drop_snapshot(self, fields: Mapping[str, Any]) -> Answer:
         """Drop a snapshot, which frees its memory."""
         saved = self._find(fields)
         del self._saved[saved.name]
-        saved.simulation.bus.drop(saved.simulation.node, saved.name)
+        self.simulation.bus.drop(self.simulation.node, saved.name)
         return "Snapshot dropped successfully.", {"snapshot": saved.name}
 
     def _find(self, fields: Mapping[str, Any]) -> _Saved:
         # Snapshots end with the node, which another beginning of a test may have replaced.
-        self._saved = {name: saved for name, saved in self._saved.items() if saved.simulation is self.simulation}
+        self._saved = {name: saved for name, saved in self._saved.items() if self.episodes.keeps(saved.beginning)}
         name = parsing.require(fields, "snapshot")
         if not isinstance(name, str) or name not in self._saved:
             raise BadRequest(f"No snapshot {str(name)[:80]!r}; {did_you_mean(str(name)[:80], self._saved)}")
         return self._saved[name]
 
-    def _adopt(self, saved: _Saved) -> None:
-        self.beginning, self.recorder = saved.beginning, saved.recorder.copy()
-        self.first_row, self.end_s, self.is_over = saved.first_row, saved.end_s, saved.is_over
-        self.step_s, self.scenario = saved.step_s, dict(saved.scenario)
-        self.time_ratio = TimeRatio()
-        self.forecaster.forget_errors()
-        self._restart_kpis()
-
     def branch(self, fields: Mapping[str, Any]) -> ExtendedTest:
-        """Return another test that continues independently from here; it ends with this one at the latest."""
+        """Return another test that continues independently from here; it ends with this one's node at the latest."""
         self._check_no_branch("be branched; branch the test that it came from")
         self._check_room()
         relinquished = fields.get("baseline")
         is_relinquished = relinquished is not None and parsing.switch(relinquished, "baseline")
-        simulation = self.simulation.branch(relinquished=is_relinquished)
-        branch = ExtendedTest(self.case, self._rates, self._days, self.episodes, simulation, client=self.client)
-        saved = _Saved(
-            simulation, "", self.beginning, self.recorder, self.first_row, self.end_s, self.is_over, self.step_s,
-            self.scenario,
-        )  # fmt: skip
-        branch._adopt(saved)
+        branch = copy(self)
+        branch.continue_on(self.simulation.branch(relinquished=is_relinquished))
         self._branches.add(branch)
         return branch
+
+    def continue_on(self, simulation: Simulation) -> None:
+        """Continue on a branch, independently of the test of which this is a copy."""
+        self._branch, self.lock = simulation, RLock()
+        self._saved, self._branches = {}, WeakSet()
+        self.recorder, self.scenario = self.recorder.copy(), dict(self.scenario)
+        self._restart_figures()
 
     def baseline(self) -> Answer:
         """Return measurements and KPIs of the building under the baseline control, at the test's time."""

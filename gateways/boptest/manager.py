@@ -183,6 +183,20 @@ class TestManager:
                 yield test
             finally:
                 self._mark_used(entry)
+                self._end_branches(testid)
+
+    def _end_branches(self, testid: str) -> None:
+        """End the branches of a test that has replaced their node."""
+        with self._lock:
+            ended = [
+                name
+                for name, entry in self._entries.items()
+                if entry.parent == testid and entry.test is not None and entry.test.is_stopped
+            ]
+            tests = [self._entries.pop(name).test for name in ended]
+        for test in tests:
+            if test is not None:
+                self._end(test)
 
     def client_of(self, testid: str) -> str:
         """Return the name of the client that started a test, empty without one; `UnknownTest` if there is none."""

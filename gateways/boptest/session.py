@@ -48,15 +48,12 @@ class BuildingTest:
         case: the test case.
         rates: prices and emission factors.
         days: returns the days of the test periods; it may simulate a year.
-        episodes: the node, of which `simulation` is a branch; None starts one.
-        simulation: the branch.
-        interruption: ends a node that it starts from another thread.
+        interruption: ends its node from another thread.
         client: name of the client that started it; empty if it has none.
 
     Attributes:
         client: as above.
         lock: held during each request.
-        is_stopped: whether it has been stopped; another thread sets it, and a request in progress then ends.
     """
 
     def __init__(
@@ -64,33 +61,37 @@ class BuildingTest:
         case: TestCase,
         rates: Rates,
         days: Callable[[], Mapping[str, int]],
-        episodes: Episodes | None = None,
-        simulation: Simulation | None = None,
         interruption: Interruption | None = None,
         client: str = "",
     ) -> None:
-        self.case, self.client, self.lock, self.is_stopped = case, client, RLock(), False
+        self.case, self.client, self.lock, self._is_stopped = case, client, RLock(), False
         self._rates, self._days = rates, days
-        self._branch = simulation
+        self._branch: Simulation | None = None
         name = f"boptest.{client}" if client else "boptest"
-        self.episodes = episodes or Episodes(case.arguments, interruption or Interruption(), name)
+        self.episodes = Episodes(case.arguments, interruption or Interruption(), name)
         self.table, self._timestep_s = self.episodes.table, self.episodes.building.step_s
-        self.forecaster = Forecaster(self.episodes.weather, rates, self.episodes.schedules)
         self.step_s = DEFAULT_STEP_S
         self.scenario: dict[str, Any] = {**dict.fromkeys(_SCENARIO), "electricity_price": "constant"}
+        self._begin(0, 0)
         self._state_names = self._points_of_state()
-        if episodes is None:
-            self._begin(0, 0)
 
     def _points_of_state(self) -> tuple[str, ...]:
         """Return the names of a state in the order of its values; all of them can be requested as results."""
-        table, weather = self.table, map(_weather_name, self.episodes.weather.points)
+        table, weather = self.table, map(_weather_name, self.beginning.weather.points)
         return ("time", *table.measured, *weather, *table.commanded, *table.activates)
 
     @property
     def simulation(self) -> Simulation:
         """The engine that is advanced: that of the node, or of a branch."""
         return self._branch or self.episodes.building.main
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether it has ended, so that a request in progress ends; another thread may have ended it.
+
+        A branch also ends with its node, which another beginning of the test that it came from replaces.
+        """
+        return self._is_stopped or (self._branch is not None and not self.episodes.keeps(self.beginning))
 
     # Beginning
 
@@ -100,13 +101,17 @@ class BuildingTest:
         self.first_row = len(self.recorder) - 1
         self.end_s = end_s
         self.is_over = False
-        self.time_ratio = TimeRatio()
-        self.forecaster = Forecaster(self.episodes.weather, self._rates, self.episodes.schedules)
-        self._restart_kpis()
+        self._restart_figures()
 
     def _beginnings_in_use(self) -> Collection[Beginning]:
         """Return the beginnings that can be needed after another one."""
         return ()
+
+    def _restart_figures(self) -> None:
+        """Draw new errors of forecasts, and compute KPIs and the time ratio from here on."""
+        self.forecaster = Forecaster(self.beginning.weather, self._rates, self.episodes.schedules)
+        self.time_ratio = TimeRatio()
+        self._restart_kpis()
 
     def _restart_kpis(self) -> None:
         comfort = self.episodes.schedules.comfort(self.beginning.baseline)
@@ -133,7 +138,7 @@ class BuildingTest:
         values = [
             time_s,
             *self.table.si_values(trajectory.fault_free_values[-1]).tolist(),
-            *self.episodes.weather.now(time_s).values(),
+            *self.beginning.weather.now(time_s).values(),
             *self.table.si_inputs(trajectory.effective[-1]).tolist(),
             *self._activated(-1).tolist(),
         ]
@@ -282,7 +287,7 @@ class BuildingTest:
     def measurements(self) -> Answer:
         """Describe the measurements."""
         described: dict[str, Any] = {point.name: point.as_json() for point in self.table.measurements}
-        for name, (unit, text) in self.episodes.weather.points.items():
+        for name, (unit, text) in self.beginning.weather.points.items():
             described[_weather_name(name)] = {
                 "Unit": unit, "Description": text, "Minimum": None, "Maximum": None,
             }  # fmt: skip
@@ -321,7 +326,7 @@ class BuildingTest:
             return table.si_inputs(self.trajectory.effective[rows])[:, index]
         if (index := table.activated.get(name)) is not None:
             return self._activated(rows)[:, index]
-        weather = self.episodes.weather
+        weather = self.beginning.weather
         return weather.at(next(point for point in weather.points if _weather_name(point) == name), times_s)
 
     def _activated(self, rows: int | slice) -> NDArray[np.int_]:
@@ -410,13 +415,13 @@ class BuildingTest:
 
     def interrupt(self) -> None:
         """Stop the test while a request is in progress, which then ends; `close` is still needed."""
-        self.is_stopped = True
+        self._is_stopped = True
         if self._branch is None:
             self.episodes.interruption.interrupt()
 
     def close(self) -> None:
         """End the building, or the branch."""
-        self.is_stopped = True
+        self._is_stopped = True
         if self._branch is not None:
             self._branch.close()
         else:

@@ -256,6 +256,22 @@ def test_boptest_gateway__snapshot_and_branch_outlast_many_other_beginnings(test
 
 
 @pytest.mark.slow
+def test_boptest_gateway__branch_ends_when_the_test_is_initialized_on_another_day(test):
+    branch = Client(test.url)
+    branch.testid = test.answer("POST", "branch", {}).json()["testid"]
+    branch.advance()
+    test.put("initialize", start_time=START_S + 900, warmup_period=WARMUP_S)
+    branch.advance()
+    name = test.payload("POST", "snapshot")["snapshot"]
+    test.put("initialize", start_time=START_S + 2 * DAY_S, warmup_period=WARMUP_S)
+    for method, operation in (("GET", "status"), ("GET", "kpi"), ("POST", "advance"), ("PUT", "stop")):
+        refused = branch.answer(method, operation, {})
+        assert (refused.status_code, "Invalid testid" in refused.text) == (400, True)
+    assert test.service.manager.tests() == [test.testid]
+    assert test.answer("PUT", "snapshot", {"snapshot": name}).status_code == 400
+
+
+@pytest.mark.slow
 @pytest.mark.variants
 def test_boptest_gateway__snapshots_leave_room_for_beginnings_and_their_baselines(monkeypatch):
     for module in (episodes, simulation):
