@@ -12,7 +12,7 @@ from zenostat.cli.console import out
 from zenostat.cli.gateway_clients import Allow, ClientsFile, clients_of, notify
 from zenostat.cli.options import Emissions, Price
 from zenostat.cli.pairs import read_rates
-from zenostat.gateways.addresses import is_loopback
+from zenostat.topics.addresses import is_loopback
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.plurals import counted
 
@@ -52,7 +52,7 @@ def boptest(
     from zenostat.gateways.boptest.manager import TestManager
     from zenostat.gateways.boptest.prices import read_rates as rates_of
 
-    known = clients_of(clients, allow, is_exposed=not is_loopback(address.rpartition(":")[0].strip("[]")))
+    known = clients_of(clients, allow, is_exposed=not is_loopback(address.rpartition(":")[0]))
     rates = rates_of(read_rates("--price", prices), read_rates("--emissions", emissions))
     manager = TestManager(BundledTestCases(files or ()), rates, timeout_s=timeout, max_tests=max_tests, notify=notify)
     service = Service(manager, single=testcase is not None, clients=known)

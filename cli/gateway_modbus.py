@@ -45,8 +45,9 @@ def modbus(
 
     Example: `zenostat gateway modbus office --address 127.0.0.1:1502`
     """
-    from zenostat.gateways.addresses import is_loopback, parse_address
+    from zenostat.gateways.addresses import parse_address
     from zenostat.gateways.modbus.gateway import ModbusGateway
+    from zenostat.topics.addresses import is_loopback
 
     if word_order not in ("big", "little"):
         raise InvalidConfig(f"--word-order {word_order}: expected big or little")

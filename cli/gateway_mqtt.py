@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from pathlib import Path
 from typing import Annotated
 
@@ -12,12 +11,11 @@ import typer
 from zenostat.cli.gateway import serve
 from zenostat.cli.gateway_clients import Allow, ClientsFile, clients_of, notify
 from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
-from zenostat.gateways.addresses import is_loopback, names_of
+from zenostat.gateways.addresses import names_of
+from zenostat.topics.addresses import is_loopback, split_address
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.user_file import user_file
-
-_FORM = re.compile(r"(?P<host>\[[0-9A-Fa-f:.]+\]|[^\s:/\[\]]+)(:(?P<port>\d{1,5}))?")
 
 
 @on_bus
@@ -96,10 +94,10 @@ def mqtt(
 
 
 def _address(text: str, default_port: int) -> tuple[str, int]:
-    match = _FORM.fullmatch(text)
-    if match is None or not 0 < int(match["port"] or default_port) < 65536:
+    address = split_address(text, default_port)
+    if address is None or address[1] == 0:
         raise InvalidConfig(f"--broker {text}: expected HOST:PORT, for example 127.0.0.1:{default_port}")
-    return match["host"].strip("[]"), int(match["port"] or default_port)
+    return address
 
 
 def _password(username: str | None, file: Path | None) -> str | None:

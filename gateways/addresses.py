@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import ipaddress
-import re
 import socket
 
+from zenostat.topics.addresses import is_loopback, split_address
 from zenostat.topics.errors import InvalidConfig
-
-_FORM = re.compile(r"(?P<host>\[[0-9A-Fa-f:.]+\]|[^\s:/\[\]]+):(?P<port>\d{1,5})")
 
 
 def parse_address(text: str, protocol: str, *, expose: bool, default_port: int) -> tuple[str, int]:
@@ -23,13 +21,12 @@ def parse_address(text: str, protocol: str, *, expose: bool, default_port: int) 
     Raises:
         InvalidConfig: not an address, or other machines can reach it and `expose` is false.
     """
-    match = _FORM.fullmatch(text)
-    host, port = (match["host"].strip("[]"), int(match["port"])) if match else (text.strip("[]"), default_port)
+    host, port = split_address(text, default_port) or (text.strip("[]"), default_port)
     try:
         address = ipaddress.ip_address("127.0.0.1" if host == "localhost" else host)
     except ValueError:
         address = None
-    if address is None or "%" in host or not 0 <= port <= 65535:
+    if address is None or "%" in host:
         raise InvalidConfig(
             f"{text!r} is not an address to listen on; write ADDRESS:PORT, for example 127.0.0.1:{default_port}"
         )
@@ -50,11 +47,3 @@ def names_of(host: str, port: int) -> list[str]:
     except OSError:  # not known yet
         return [f"{host}:{port}"]
     return sorted({f"{target[0]}:{port}" for *_, target in entries})
-
-
-def is_loopback(host: str) -> bool:
-    """Return whether a host is this machine alone: a loopback address, or `localhost`."""
-    try:
-        return ipaddress.ip_address(host.partition("%")[0]).is_loopback
-    except ValueError:
-        return host == "localhost"

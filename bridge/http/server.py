@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import ipaddress
 import socket
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -14,6 +13,7 @@ import uvicorn
 
 from zenostat.bridge.http.connections import BoundedH11
 from zenostat.bridge.runtime import service_manager
+from zenostat.topics.addresses import is_loopback
 from zenostat.topics.errors import AddressInUse, InvalidConfig
 
 _BACKLOG = 256
@@ -44,7 +44,7 @@ def listen(address: str, default: str, program: str, *, is_exposed: bool = False
     except (OSError, UnicodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "no valid host name"
         raise InvalidConfig(f"address {address!r}: {reason}") from None
-    if not is_exposed and not ipaddress.ip_address(str(target[0]).partition("%")[0]).is_loopback:
+    if not is_exposed and not is_loopback(str(target[0])):
         raise InvalidConfig(
             f"{address} can be reached from other machines, and {program} serves this machine only; listen on "
             f"{default} and forward the port: ssh -L {default.rpartition(':')[2]}:{default} HOST"

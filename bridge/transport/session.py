@@ -21,6 +21,7 @@ import zenoh
 from zenostat.bridge.runtime.exhaustion import describe_exhaustion
 from zenostat.bridge.transport.access_control import TRAINER, acl_config
 from zenostat.topics import codec
+from zenostat.topics.addresses import is_loopback
 from zenostat.topics.errors import AddressInUse, BusError, ErrorCollector, InvalidConfig, NodeNotFound
 from zenostat.topics.keys import DEFAULT_HOST, DEFAULT_PORT, Role
 
@@ -34,7 +35,7 @@ MAX_MESSAGE_BYTES = 4 * codec.MAX_BYTES
 
 _CONNECT_MS = 2000
 _FORM = re.compile(r"unixsock-stream/\S+|tcp/\S+:(\d+)(?:[#?;]\S*)?|tls/[^\s#?;]+:(\d+)")
-_LOOPBACK = re.compile(r"(tcp|tls)/(127\.\d+\.\d+\.\d+|localhost|\[::1\]):\d+")
+_PLAIN = re.compile(r"(?:tcp|tls)/([^/#?;]+):\d+")
 
 zenoh.init_log_from_env_or("off")
 
@@ -195,13 +196,19 @@ def certificate_file(keys: Path | None) -> Path | None:
 
 def exposure(listen: Sequence[str], keys: Path | None) -> str:
     """Return a warning if other machines can reach an endpoint without keys; otherwise an empty text."""
-    exposed = [endpoint for endpoint in listen if endpoint.startswith("tcp/") and not _LOOPBACK.fullmatch(endpoint)]
+    exposed = [endpoint for endpoint in listen if endpoint.startswith("tcp/") and not _is_local(endpoint)]
     if not exposed or keys is not None:
         return ""
     return (
         f"any program that can reach {', '.join(exposed)} can read and command everything, unencrypted; "
         "secure the bus with keys: zenostat keys init"
     )
+
+
+def _is_local(endpoint: str) -> bool:
+    """Return whether no other machine reaches a TCP or TLS endpoint; one with options is assumed to be reachable."""
+    match = _PLAIN.fullmatch(endpoint)
+    return match is not None and is_loopback(match[1])
 
 
 def _check_endpoints(
@@ -223,7 +230,7 @@ def _check_endpoints(
                 InvalidConfig(f"{endpoint} needs keys: zenostat keys init FOLDER, then keys=FOLDER (--keys FOLDER)")
             )
     for endpoint in listen:
-        if endpoint.startswith(("tcp/", "tls/")) and not _LOOPBACK.fullmatch(endpoint) and not expose:
+        if endpoint.startswith(("tcp/", "tls/")) and not _is_local(endpoint) and not expose:
             protection = "" if endpoint.startswith("tls/") else ", without encryption or a password"
             errors.errors.append(
                 InvalidConfig(

@@ -15,11 +15,11 @@ from typing import Any
 
 from starlette.datastructures import Headers
 
-from zenostat.gateways.addresses import is_loopback
 from zenostat.gateways.boptest.extensions import ExtendedTest
 from zenostat.gateways.boptest.operations import Operation
 from zenostat.gateways.clients import Clients
 from zenostat.gateways.notices import Notices
+from zenostat.topics.addresses import is_loopback
 from zenostat.topics.errors import AccessDenied, UsageError
 
 _SCHEME = "bearer "
@@ -38,7 +38,7 @@ def check_sender(headers: Headers, *, is_local: bool) -> None:
         is_local: whether the service is on loopback, so that `Host` names that.
     """
     hosts = headers.getlist("host")
-    if is_local and not all(is_loopback(_PORT.sub("", host.lower()).strip("[]")) for host in hosts):
+    if is_local and not all(is_loopback(_PORT.sub("", host.lower())) for host in hosts):
         raise AccessDenied(f"this service is on this machine and none of the name {hosts[0][:80]!r}")
     for origin in headers.getlist("origin"):
         if origin.partition("://")[2] not in hosts:

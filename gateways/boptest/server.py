@@ -9,8 +9,8 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from zenostat.bridge.http.connections import BoundedConnection
 from zenostat.bridge.http.server import HttpServer, LoopbackServer, host_and_port, listen
-from zenostat.gateways.addresses import is_loopback
 from zenostat.gateways.boptest.app import Service
+from zenostat.topics.addresses import is_loopback
 
 _DEFAULT_ADDRESS = "127.0.0.1:8000"
 _SHUTDOWN_S = 5
@@ -45,7 +45,7 @@ class BoptestServer(HttpServer):
             remedy="or pass --expose to allow it, without authentication",
         )
         host, port = host_and_port(listening)
-        service.is_local = is_loopback(host.strip("[]"))
+        service.is_local = is_loopback(host)
         server = LoopbackServer(
             service,
             lambda: asyncio.to_thread(service.manager.interrupt),

@@ -18,13 +18,13 @@ from zmq.utils.monitor import recv_monitor_message
 
 from zenostat.gateways.zeromq.connections import CHECK_S, Connections
 from zenostat.topics import codec
+from zenostat.topics.addresses import is_loopback
 from zenostat.topics.errors import AddressInUse, InvalidConfig
 
 DEFAULT_PUBLISH = "tcp://127.0.0.1:5556"
 DEFAULT_COMMAND = "tcp://127.0.0.1:5557"
 
 _FORM = re.compile(r"tcp://(\[[0-9A-Fa-f:.]+\]|[^\s:/\[\]]+):(\d{1,5}|\*)|ipc:///\S+")
-_LOOPBACK = re.compile(r"tcp://(127\.\d+\.\d+\.\d+|localhost|\[::1\]):.*|ipc:.*")
 _BURST = 256
 _PING = 3  # of a lease: a peer that has answered none of three pings is gone
 _MOST_SUBSCRIBED = 1024  # bytes of a subscription; the longest topic has some 300
@@ -32,7 +32,8 @@ _MOST_SUBSCRIBED = 1024  # bytes of a subscription; the longest topic has some 3
 
 def is_local(endpoint: str) -> bool:
     """Return whether no other machine can reach an endpoint."""
-    return _LOOPBACK.fullmatch(endpoint) is not None
+    host = endpoint.removeprefix("tcp://").rpartition(":")[0]
+    return endpoint.startswith("ipc:") or is_loopback(host)
 
 
 def check_endpoint(endpoint: str, *, expose: bool) -> str:
