@@ -47,15 +47,8 @@ class TrainingName(BaseModel):
     name: Annotated[str, Field(max_length=1000)]
 
 
-class WatchTraining(TrainingName):
-    """Start a node from the scenario of a training, controlled by its best model."""
-
-    node: Annotated[str, Field(max_length=128)]
-    speed: Annotated[float, Field(gt=0, le=1e9)] = 3600.0
-
-
-class ReplayRecording(TrainingName):
-    """Replay a recording of the folder as a node."""
+class StartFromTraining(TrainingName):
+    """Start a node: from a training with its best model as the controller, or from a recording in its folder."""
 
     node: Annotated[str, Field(max_length=128)]
     speed: Annotated[float, Field(gt=0, le=1e9)] = 3600.0
@@ -124,7 +117,7 @@ class TrainingPages:
         return await self._audited(request, "make report", name, make)
 
     async def _watch(self, request: Request) -> Response:
-        asked = read_body(WatchTraining, await request.body())
+        asked = read_body(StartFromTraining, await request.body())
         operator = operator_of(request)
 
         def start() -> str:
@@ -141,7 +134,7 @@ class TrainingPages:
         return await self._audited(request, "watch training", asked.node, start)
 
     async def _replay(self, request: Request) -> Response:
-        asked = read_body(ReplayRecording, await request.body())
+        asked = read_body(StartFromTraining, await request.body())
         operator = operator_of(request)
 
         def start() -> str:
