@@ -149,6 +149,7 @@ class Calibration(StudyConfig):
     trial_module: ClassVar[str] = ""
     keeps_processes: ClassVar[bool] = False
     begins_with_default: ClassVar[bool] = False
+    default_folder: ClassVar[str] = "calibration"
 
     study: Annotated[str, Field(min_length=1)] = "calibration"
     parameters: Annotated[dict[str, Parameter], Field(min_length=1)]  # type: ignore[assignment]
@@ -195,11 +196,6 @@ class Calibration(StudyConfig):
             if first <= last:
                 raise ValueError(f"periods and held_out: {first} to {end} overlaps the period that ends on {last}")
         return self
-
-    @property
-    def folder(self) -> Path:
-        """Folder of the results."""
-        return Path("calibration") / self.study if self.output is None else Path(self.output)
 
     @property
     def batch_size(self) -> int:

@@ -143,11 +143,13 @@ class StudyConfig(ConfigPart, ABC):
         trial_module: module of the process that runs a trial.
         keeps_processes: whether the process of a trial runs further ones.
         begins_with_default: whether the first trial searches nothing, and so has the subject's own defaults.
+        default_folder: where the folders of studies without an `output` are.
     """
 
     trial_module: ClassVar[str]
     keeps_processes: ClassVar[bool]
     begins_with_default: ClassVar[bool]
+    default_folder: ClassVar[str] = "tuning"
 
     study: Annotated[str, Field(min_length=1)]
     parameters: SearchSpace
@@ -173,7 +175,7 @@ class StudyConfig(ConfigPart, ABC):
     @property
     def folder(self) -> Path:
         """Folder of the results."""
-        return Path("tuning") / self.study if self.output is None else Path(self.output)
+        return Path(self.default_folder) / self.study if self.output is None else Path(self.output)
 
     @property
     def url(self) -> str:
