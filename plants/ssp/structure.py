@@ -31,7 +31,6 @@ class Link(NamedTuple):
         source, target: PLANT.POINT.
         unit: unit to which the source is converted first; empty: that of the target.
         factor, offset: applied after that.
-        target_unit: unit of the target.
     """
 
     source: str
@@ -39,7 +38,6 @@ class Link(NamedTuple):
     unit: str
     factor: float
     offset: float
-    target_unit: str
 
 
 @dataclass(frozen=True)
@@ -225,7 +223,7 @@ class _Reader:
                 text = f"the connection to {entry.name!r} of {'.'.join(target[0])!r} also sets "
                 also = f"{entry.activation.name!r} to true: an overwrite block acts while its value is commanded"
                 self._notes.append(text + also)
-            yield Link(name, target_name, *self._transformed(legs, points), entry.unit)
+            yield Link(name, target_name, *self._transformed(legs, points))
         self._notes += [
             f"the system's input {name!r} is not connected: command {', '.join(targets)} instead"
             for name, targets in outer.items()
