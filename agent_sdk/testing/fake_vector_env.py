@@ -27,7 +27,6 @@ class FakeSlots:
 
     Args:
         buildings: fake buildings with equal points.
-        name: name of the controller in `value_source`.
 
     Attributes:
         manifest: manifest of the first building, with the number of slots.
@@ -36,10 +35,10 @@ class FakeSlots:
 
     accepted: Ack
 
-    def __init__(self, buildings: Sequence[FakeBuilding], *, name: str = "env") -> None:
-        self._links = [FakeLink(building, name=name) for building in buildings]
+    def __init__(self, buildings: Sequence[FakeBuilding]) -> None:
+        self._links = [FakeLink(building) for building in buildings]
         self.manifest = self._links[0].manifest.model_copy(update={"slots": len(self._links)})
-        self.name = name
+        self.name = self._links[0].name
         self._latest: list[SampleView] = []
         self._episodes = [-1] * len(self._links)
         self._sent: list[int] = []

@@ -78,7 +78,7 @@ class ProgramOverrides:
         control = (_fold(component_type), _fold(control_type), _fold(key))
         for name in self._programs.actuators.get(control, ()):
             if setters := self._programs.setters(name):
-                yield f"EMS {_quoted_list('program', setters)} sets it through {_EMS}Actuator {name!r}"
+                yield f"EMS {_programs(setters)} sets it through {_EMS}Actuator {name!r}"
         yield from _external(self._objects, control)
         for name in self._objects.get("PythonPlugin:Instance", {}):
             yield f"PythonPlugin:Instance {name!r} may set it"
@@ -120,8 +120,8 @@ class _Model:
             setters = self.ems.setters(name)
             if setters:
                 readers = [program for program in setters if program in reads]
-                note = f" ({_quoted_list('program', readers)} also reads it)" if readers else ""
-                programs = f"EMS {_quoted_list('program', setters)}"
+                note = f" ({_programs(readers)} also reads it)" if readers else ""
+                programs = f"EMS {_programs(setters)}"
                 yield f"{programs} sets the same control through {_EMS}Actuator {name!r}{note} and takes precedence"
             else:
                 yield (
@@ -134,7 +134,7 @@ class _Model:
             for name in self.ems.actuators.get((_ZONE_CONTROL, setpoint, zone), ()):
                 if setters := self.ems.setters(name, value_only=True):
                     yield (
-                        f"EMS {_quoted_list('program', setters)} sets the {setpoint} of zone {self._zone(zone)!r} "
+                        f"EMS {_programs(setters)} sets the {setpoint} of zone {self._zone(zone)!r} "
                         f"through {_EMS}Actuator {name!r}, which takes precedence over schedule {schedule!r} there"
                     )
 
@@ -154,7 +154,7 @@ class _Model:
     def _unused_schedule(self, schedule: str, reads: list[str]) -> Iterator[str]:
         users = self.users.get(_fold(schedule), set())
         if not users and reads:
-            yield f"no object uses schedule {schedule!r}; only EMS {_quoted_list('program', reads)} reads it"
+            yield f"no object uses schedule {schedule!r}; only EMS {_programs(reads)} reads it"
         elif not users:
             yield f"nothing in the model uses schedule {schedule!r}"
         elif all(kind.startswith("Sizing") for kind in users):
@@ -341,8 +341,8 @@ def _plugins(objects: ModelObjects, actuators: Sequence[Actuator]) -> Iterator[s
             yield f"actuators {names}: PythonPlugin:Instance {name!r} runs {plugin}, which may set the same controls"
 
 
-def _quoted_list(noun: str, names: list[str]) -> str:
-    return f"{noun}{'s' if len(names) > 1 else ''} {', '.join(map(repr, names))}"
+def _programs(names: list[str]) -> str:
+    return f"program{'s' if len(names) > 1 else ''} {', '.join(map(repr, names))}"
 
 
 def _fold(text: object) -> str:

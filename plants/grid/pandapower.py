@@ -125,7 +125,9 @@ class _Converter:
         for line in self._net.line[self._net.line.in_service].itertuples():
             if line.g_us_per_km:
                 raise InvalidConfig(f"line {line.name!r} has a shunt conductance, which is not supported")
-            ends = {end: ("l", line.Index, bus) in self._open for end, bus in _ends(line, "from_bus", "to_bus")}
+            ends = {
+                end: ("l", line.Index, bus) in self._open for end, bus in (("from", line.from_bus), ("to", line.to_bus))
+            }
             if all(ends.values()):
                 continue
             fields = {
@@ -175,11 +177,6 @@ class _Converter:
                 "reactive_var": sign * float(load.q_mvar * load.scaling) * 1e6,
             }
             yield self._names.add(load.name, f"{table}_{load.Index}"), fields
-
-
-def _ends(branch: Any, first: str, second: str) -> Iterator[tuple[str, int]]:
-    yield "from", getattr(branch, first)
-    yield "to", getattr(branch, second)
 
 
 def _tap_percent(trafo: Any) -> float:

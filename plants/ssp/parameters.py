@@ -72,7 +72,7 @@ def parameters(archive: Archive, element: Any, path: Path, notes: list[str]) -> 
                 continue
             for entry in entries:
                 if entry.get("source") == parameter.name:
-                    factor, offset = transformation(archive, entry, "ssc", mapped)
+                    factor, offset = transformation(archive, entry, mapped)
                     if (factor, offset) != (1.0, 0.0) and isinstance(parameter.value, str):
                         raise archive.error(f"{parameter.name} is a text; it has no factor", entry, mapped)
                     unit = Unit("") if is_true(entry, "suppressUnitConversion") else parameter.unit
@@ -107,22 +107,21 @@ def _parameter(archive: Archive, item: Any, document: str, units: Mapping[str, D
     raise archive.error(f"the parameter {name!r} is binary; numbers and texts are supported", item, document)
 
 
-def transformation(archive: Archive, element: Any, space: str, document: str = STRUCTURE) -> tuple[float, float]:
+def transformation(archive: Archive, element: Any, document: str = STRUCTURE) -> tuple[float, float]:
     """Return factor and offset of a connection or a mapping; (1, 0) if it has none.
 
     Args:
         archive: the file.
         element: the connection or the entry of the mapping.
-        space: prefix of the namespace of the transformation.
         document: the element's document.
 
     Raises:
         InvalidConfig: it is not linear.
     """
     for other in ("BooleanMappingTransformation", "IntegerMappingTransformation", "EnumerationMappingTransformation"):
-        if element.find(f"{space}:{other}", NAMESPACES) is not None:
+        if element.find(f"ssc:{other}", NAMESPACES) is not None:
             raise archive.error(f"{other} is not supported; LinearTransformation is", element, document)
-    linear = element.find(f"{space}:LinearTransformation", NAMESPACES)
+    linear = element.find("ssc:LinearTransformation", NAMESPACES)
     return (1.0, 0.0) if linear is None else (float(linear.get("factor", 1.0)), float(linear.get("offset", 0.0)))
 
 

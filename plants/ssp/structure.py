@@ -241,7 +241,7 @@ class _Reader:
         units = [self._unit(legs[-1][0], points), *(self._unit(end, points) for _, end, _ in reversed(legs))]
         factor, offset, is_converted = 1.0, 0.0, False
         for (before, after), (_, _, connection) in zip(pairwise(units), reversed(legs), strict=True):
-            own, more = parameters.transformation(self._archive, connection, "ssc")
+            own, more = parameters.transformation(self._archive, connection)
             scale, shift = 1.0, 0.0
             if not parameters.is_true(connection, "suppressUnitConversion") and before.name and after.name:
                 scale, shift = self._converted(before, after, connection)
