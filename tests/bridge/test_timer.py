@@ -7,18 +7,10 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.clock import Clock
 from support.nodes import until
 
 from zenostat.bridge.runtime.timer import Timer
-
-
-class Clock:
-    """A clock that stands still until it is set."""
-
-    now_s = 0.0
-
-    def __call__(self) -> float:
-        return self.now_s
 
 
 def nothing() -> None:

@@ -22,6 +22,11 @@ def keys(module_folder: Path) -> Path:
     return folder
 
 
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     pytest.importorskip("playwright.sync_api", reason="pip install playwright")

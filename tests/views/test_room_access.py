@@ -6,22 +6,12 @@ import pytest
 
 pytest.importorskip("starlette")
 
+from support.clock import Clock
+
 from zenostat.views.room.access import POLICY, Access
 
 HOST = "127.0.0.1:8600"
 TOKEN = "t" * 32
-
-
-class Clock:
-    now_s = 0.0
-
-    def __call__(self) -> float:
-        return self.now_s
-
-
-@pytest.fixture
-def clock() -> Clock:
-    return Clock()
 
 
 @pytest.fixture

@@ -23,24 +23,13 @@ pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 
 import httpx
+from support.clock import Clock
 
 from zenostat.views.room.access import Access
 from zenostat.views.room.users import CERTIFICATE, BusUsers, ClientCertificate, PageTls, client_certificate
 
 HOST = "room.example.org:8600"
 NEVER_S = 4e9
-
-
-class Clock:
-    now_s = 0.0
-
-    def __call__(self) -> float:
-        return self.now_s
-
-
-@pytest.fixture
-def clock() -> Clock:
-    return Clock()
 
 
 @pytest.fixture
