@@ -9,6 +9,8 @@ from typing import Any
 
 from zenostat.bridge.engine.spec import EngineProgram, EngineSpec
 from zenostat.eplus_node.plan import Plan
+from zenostat.models.building.diagnostics import suspects
+from zenostat.models.building.model import Building
 from zenostat.models.building.source_lines import locator
 from zenostat.models.energyplus import ISOLATED
 from zenostat.models.err_file import explain
@@ -18,15 +20,22 @@ from zenostat.models.scenario.episode_weather import EpisodeFiles
 from zenostat.topics.errors import ModelError
 
 
-def _failure(source: Path | None, text: str, folder: Path) -> ModelError:
-    locate = locator(source) if source is not None else None
-    return ModelError(f"{text}. {explain(folder, 'EnergyPlus gave no reason in eplusout.err', locate=locate)}")
+def _failure(building: Building | None, text: str, folder: Path) -> ModelError:
+    return ModelError(f"{text}. {explain_end(building, folder, 'EnergyPlus gave no reason in eplusout.err')}")
+
+
+def explain_end(building: Building | None, folder: Path, fallback: str) -> str:
+    """Return why EnergyPlus ended: its messages, or the fallback, and the warnings on the model."""
+    if building is None:
+        return explain(folder, fallback)
+    locate = locator(building.file) if building.file else None
+    return "\n".join([explain(folder, fallback, locate=locate), *suspects(building)])
 
 
 ENERGYPLUS = EngineProgram(
     command=(*ISOLATED, "zenostat.eplus_node.engine"),
     failure=partial(_failure, None),
-    explain=explain,
+    explain=partial(explain_end, None),
     # Huge pages mean fewer page tables for a fork to copy: a fork takes half the time (docs/performance.md).
     environment={"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"},
 )
@@ -42,12 +51,8 @@ def engine_spec(plan: Plan, files: EpisodeFiles, folder: Path, **settings: Any) 
         settings: further fields of `EngineSpec`.
     """
     points = plan.points
-    source = Path(plan.building.file) if plan.building.file else None
-    program = replace(
-        ENERGYPLUS,
-        failure=partial(_failure, source),
-        explain=partial(explain, locate=locator(source) if source else None),
-    )
+    building = plan.building
+    program = replace(ENERGYPLUS, failure=partial(_failure, building), explain=partial(explain_end, building))
     return EngineSpec(
         program=program,
         folder=folder,

@@ -74,7 +74,7 @@ class Diagnostic:
 
 
 class _Model(Protocol):
-    """The parts of a `Building` that `cached_diagnostics` needs."""
+    """The parts of a `Building` that the cached diagnostics need."""
 
     @property
     def objects(self) -> ModelObjects: ...
@@ -82,6 +82,8 @@ class _Model(Protocol):
     def unexpanded(self) -> ModelObjects: ...
     @property
     def content(self) -> str: ...
+    @property
+    def name(self) -> str: ...
     @property
     def file(self) -> str: ...
 
@@ -231,3 +233,9 @@ def cached_diagnostics(building: _Model) -> list[Diagnostic]:
     return [
         Diagnostic(**{**each, "severity": Severity(each["severity"])}) for each in json.loads(cached_bytes(name, make))
     ]
+
+
+def suspects(building: _Model) -> Iterator[str]:
+    """Yield a line with the diagnostics of a model at which EnergyPlus has ended; they may be the reason."""
+    if diagnostics := cached_diagnostics(building):
+        yield describe(diagnostics, building.file or building.name, "also has")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import date
 from functools import cached_property
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from zenostat.models import energyplus
-from zenostat.models.building.diagnostics import cached_diagnostics, describe
+from zenostat.models.building.diagnostics import suspects
 from zenostat.models.building.model import Building, check_runnable, for_episode, write
 from zenostat.models.building.run_needs import lacks_design_days
 from zenostat.models.building.source_lines import locator
@@ -122,7 +122,7 @@ def discover(building: Building, weather: Path) -> PointCatalog:
         try:
             energyplus.call("survey", model, weather, target, file=file, locate=locator(file))
         except ModelError as error:
-            raise ModelError("\n".join([str(error), *_suspects(building)])) from None
+            raise ModelError("\n".join([str(error), *suspects(building)])) from None
 
     name = f"points/{digest(building.content, energyplus.version(), _FORMAT)}.json"
     return _read(cached_bytes(name, make))
@@ -133,13 +133,6 @@ def _any_day(building: Building, header: Header) -> Period:
     day = date(LEAP_YEAR if header.first == (2, 29) else LEAP_YEAR + 1, *header.first)
     steps = header.records_per_hour if header.records_per_hour > 1 else building.steps_per_hour
     return Period(day, day, 4 if 60 % steps else steps)
-
-
-def _suspects(building: Building) -> Iterator[str]:
-    """Yield a line with the warnings on a model that EnergyPlus cannot start, which may be the reason."""
-    warnings = cached_diagnostics(building)
-    if warnings:
-        yield describe(warnings, building.file or building.name, "also has")
 
 
 _LISTS = {
