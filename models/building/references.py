@@ -39,6 +39,16 @@ _DEMANDING = (
 )
 """Types with fields that may be left out, and whose wrong schedules or curves end EnergyPlus; most by a crash."""
 
+_VRF_CURVE = "cooling_{}_ratio_modifier_function_of_low_temperature_curve_name"
+_CRASHING = frozenset(
+    (
+        ("AirConditioner:VariableRefrigerantFlow", _VRF_CURVE.format("capacity")),
+        ("AirConditioner:VariableRefrigerantFlow", _VRF_CURVE.format("energy_input")),
+        ("ZoneHVAC:TerminalUnit:VariableRefrigerantFlow", "supply_air_fan_object_name"),
+    )
+)
+"""Other fields that may be left out, and at whose missing object EnergyPlus crashes."""
+
 _TOLERATED = frozenset((("Sizing:Plant", "plant_or_condenser_loop_name"),))
 """Required fields whose object may be missing."""
 
@@ -93,6 +103,8 @@ class DanglingReference(NamedTuple):
         """
         if self.kind.startswith(_IGNORED) or (self.kind, self.field) in _TOLERATED:
             return False
+        if (self.kind, self.field) in _CRASHING:
+            return True
         is_demanded = self.kind.startswith(_DEMANDING) and re.search(r"schedule|curve", self.field) is not None
         return is_demanded or not _ESSENTIAL.isdisjoint(self.lists) or schema.is_required(self.kind, self.field)
 

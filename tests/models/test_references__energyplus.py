@@ -77,3 +77,24 @@ def test_dangling_references__energyplus_ends_at_each_that_is_fatal(name: str, t
         codes = dict(zip([c[0] for c in cases], pool.map(lambda c: exit_code(c[1], c[2]), cases), strict=True))
     assert [case for case, code in codes.items() if code == 0] == []
     assert any(code < 0 for code in codes.values())  # some by a crash
+
+
+VRF = [
+    ("AirConditioner:VariableRefrigerantFlow", "availability_schedule_name", False),
+    (
+        "AirConditioner:VariableRefrigerantFlow",
+        "cooling_capacity_ratio_modifier_function_of_low_temperature_curve_name",
+        True,
+    ),
+    ("AirConditioner:VariableRefrigerantFlow", "cooling_part_load_fraction_correlation_curve_name", False),
+    ("ZoneHVAC:TerminalUnit:VariableRefrigerantFlow", "supply_air_fan_object_name", True),
+]
+"""Fields of VRF systems, and whether EnergyPlus crashes at a missing object; it was tried for each, with a model."""
+
+
+@pytest.mark.parametrize(("kind", "field", "is_fatal"), VRF)
+def test_dangling_references__of_vrf_systems_are_fatal_where_energyplus_crashes(
+    kind: str, field: str, *, is_fatal: bool
+) -> None:
+    (reference,) = dangling_references({kind: {"it": {field: "none"}}})
+    assert reference.is_fatal == is_fatal
