@@ -64,6 +64,15 @@ _NOUNS = {
     "OutFaceEnvNames": "surface, zone or boundary condition",
     "ControlSchemeList": "plant equipment operation scheme",
     "ControlTypeNames": "thermostat setpoint",
+    "AllHeatTranSurfNames": "surface",
+    "AllShadingAndHTSurfNames": "surface",
+    "SurfAndSubSurfNames": "surface",
+    "SubSurfNames": "window or door",
+    "GlazedExtSubSurfNames": "exterior window",
+    "ElecStorageList": "electrical storage",
+    "ConverterList": "converter",
+    "InverterList": "inverter",
+    "ErlProgramNames": "EMS program",
     "CompactHVACThermostats": "HVACTemplate:Thermostat",
     "CompactHVACSystemConstantVolume": "HVACTemplate:System:ConstantVolume",
     "CompactHVACSystemDualDuct": "HVACTemplate:System:DualDuct",
@@ -71,6 +80,18 @@ _NOUNS = {
     "CompactHVACSystemVAV": "HVACTemplate:System of VAV",
     "CompactHVACSystemVRF": "HVACTemplate:System:VRF",
     "HVACTemplateDOASSystems": "HVACTemplate:System:DedicatedOutdoorAir",
+}
+
+_ABBREVIATIONS = {
+    "AFN": "airflow network",
+    "Evap": "evaporative",
+    "FC": "fuel cell",
+    "Gen": "generator",
+    "HX": "heat exchanger",
+    "OA": "outdoor air",
+    "Sup": "supply",
+    "Surf": "surface",
+    "Sys": "system",
 }
 
 
@@ -120,7 +141,7 @@ class DanglingReference(NamedTuple):
 def _noun(object_list: str) -> str:
     """Return what an object list holds in words: `BranchLists` to `branch list`."""
     words = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", re.sub(r"^valid|Names?$", "", object_list))
-    text = " ".join(word if word.isupper() else word.lower() for word in words)
+    text = " ".join(_ABBREVIATIONS.get(word) or (word if word.isupper() else word.lower()) for word in words)
     return re.sub(r"es$", "", text) if re.search(r"(ch|ss)es$", text) else text.removesuffix("s")
 
 

@@ -98,3 +98,18 @@ def test_dangling_references__of_vrf_systems_are_fatal_where_energyplus_crashes(
 ) -> None:
     (reference,) = dangling_references({kind: {"it": {field: "none"}}})
     assert reference.is_fatal == is_fatal
+
+
+NOUNS = [
+    ("ElectricLoadCenter:Distribution", "electrical_storage_object_name", "electrical storage"),
+    ("ElectricLoadCenter:Distribution", "inverter_name", "inverter"),
+    ("Generator:FuelCell", "water_supply_name", "fuel cell water supply"),
+    ("Generator:PVWatts", "surface_name", "surface"),
+    ("Lights", "schedule_name", "schedule"),
+]
+
+
+@pytest.mark.parametrize(("kind", "field", "noun"), NOUNS)
+def test_describe__names_what_is_missing_in_words(kind: str, field: str, noun: str) -> None:
+    (reference,) = dangling_references({kind: {"it": {field: "none"}}})
+    assert f"but the model has no {noun} of that name" in reference.describe()
