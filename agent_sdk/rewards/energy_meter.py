@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zenostat.agent_sdk.rewards.selectors import check_distinct, indices, observed_meters, of_variables
+from zenostat.agent_sdk.rewards.selectors import check_distinct, energy_point, indices, observed_meters, of_variables
 from zenostat.topics.energyplus_names import HVAC_POWER
-from zenostat.topics.errors import InvalidConfig, did_you_mean
-from zenostat.topics.messages import Aggregation, Manifest, Sensor
-from zenostat.topics.points import value_index
-from zenostat.topics.units import energy_kwh, quantity
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Manifest
+from zenostat.topics.units import energy_kwh
 
 METERS = ("Electricity:Facility", "HVAC:Electricity", "Electricity:HVAC")
 """Default meters; the first that exists is used."""
@@ -43,7 +42,7 @@ class EnergyMeter:
             points = _default(kind, manifest, default)
         else:
             check_distinct(kind, names)
-            points = [_index(kind, name, manifest) for name in names]
+            points = [energy_point(kind, name, manifest) for name in names]
         self._indices = indices(points)
         self._kwh = np.array([energy_kwh(manifest.points[i].unit, manifest.step_s) for i in points])
         self.kw_per_kwh = 3600.0 / manifest.step_s
@@ -67,24 +66,3 @@ def _default(kind: str, manifest: Manifest, default: Sequence[str]) -> list[int]
             f"name other meters (J) or power sensors (W) as the reward's `{'energy' if is_electric else 'gas'}`"
         )
     return sensors
-
-
-def _index(kind: str, name: str, manifest: Manifest) -> int:
-    index = value_index(manifest)
-    fitting = [point.name for point in manifest.points if quantity(point.unit) in ("energy", "power")]
-    if name not in index:
-        raise InvalidConfig(
-            f"the {kind} reward names {name!r}, which the node does not have; {did_you_mean(name, fitting)}"
-        )
-    point = manifest.points[index[name]]
-    if name not in fitting:
-        raise InvalidConfig(
-            f"the {kind} reward needs energy or power, in units such as J or W, which {name!r} is not ({point.unit}); "
-            f"{did_you_mean(name, fitting)}"
-        )
-    if isinstance(point, Sensor) and quantity(point.unit) == "energy" and point.aggregation is not Aggregation.SUM:
-        raise InvalidConfig(
-            f"the {kind} reward needs the energy of the whole timestep, and {name!r} reads {point.aggregation!s}: "
-            f"({point.variable!r}, {point.key!r}, 'sum') in sensors= reads all of it"
-        )
-    return index[name]

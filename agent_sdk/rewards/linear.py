@@ -22,7 +22,7 @@ class WeightedReward(ComfortBand):
         weight: w, the weight of energy, 0 to 1; that of comfort is 1 - w.
         lambda_energy: 1/W.
         lambda_temperature: 1/K.
-        power: name or names of the sensors for P, W; None is the HVAC's electric power.
+        power: name or names of the sensors (W) or meters (J) for P; None is the HVAC's electric power.
     """
 
     weight: float = Field(0.5, ge=0.0, le=1.0)
@@ -46,7 +46,7 @@ class LinearReward(WeightedReward):
         r = -w * lambda_energy * P - (1 - w) * lambda_temperature * sum_z max(low - T_z, T_z - high, 0)
 
     P is the HVAC's mean electric power in W: the meter HVAC:Electricity over the timestep, else EnergyPlus's Facility
-    Total HVAC Electricity Demand Rate (or the sum of the named sensors). T_z is the air temperature of zone z in degC.
+    Total HVAC Electricity Demand Rate (or the sum of the named points). T_z is the air temperature of zone z in degC.
     The summer band is valid from `summer_begin` to `summer_end` (month, day; both inclusive), else the
     winter band, by the day on which the timestep began. Both terms are zero or negative.
 

@@ -35,7 +35,7 @@ class NormalizedReward(ComfortBand):
         max_degrees: K; None starts at 0.
         moving: whether the maxima grow.
         forget: whether a new episode resets the maxima.
-        power: name or names of the sensors for P, W; None is the HVAC's electric power.
+        power: name or names of the sensors (W) or meters (J) for P; None is the HVAC's electric power.
     """
 
     kind: Literal["normalized"] = "normalized"

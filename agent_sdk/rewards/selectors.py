@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from zenostat.topics.energyplus_names import HVAC_POWER, ZONE_TEMPERATURES
 from zenostat.topics.errors import InvalidConfig, did_you_mean, repeated
-from zenostat.topics.messages import Manifest
+from zenostat.topics.messages import Aggregation, Manifest, Sensor
 from zenostat.topics.points import value_index
+from zenostat.topics.units import power_kw, quantity
 
 Indices = NDArray[np.intp]
 """Indices among the values of a sample."""
@@ -70,14 +71,48 @@ def of_variables(manifest: Manifest, *variables: str) -> list[int]:
     return []
 
 
-def powers(kind: str, names: Sequence[str] | None, manifest: Manifest) -> tuple[Indices, float]:
-    """Return points of electric power and the factor from their sum to the mean power of the timestep in W.
+def energy_point(kind: str, name: str, manifest: Manifest) -> int:
+    """Return the index of a meter or sensor of energy or power.
 
-    They are the sensors that are named, else the meter of the HVAC's electricity, else EnergyPlus's demand rate.
+    Raises:
+        InvalidConfig: the node does not have the point, it has another unit, or it does not read a whole timestep.
+    """
+    index = value_index(manifest)
+    fitting = _energy_points(manifest)
+    if name not in index:
+        raise InvalidConfig(
+            f"the {kind} reward names {name!r}, which the node does not have; {did_you_mean(name, fitting)}"
+        )
+    point = manifest.points[index[name]]
+    if name not in fitting:
+        raise InvalidConfig(
+            f"the {kind} reward needs energy or power, in units such as J or W, which {name!r} is not ({point.unit}); "
+            f"{did_you_mean(name, fitting)}"
+        )
+    if isinstance(point, Sensor) and quantity(point.unit) == "energy" and point.aggregation is not Aggregation.SUM:
+        raise InvalidConfig(
+            f"the {kind} reward needs the energy of the whole timestep, and {name!r} reads {point.aggregation!s}: "
+            f"({point.variable!r}, {point.key!r}, 'sum') in sensors= reads all of it"
+        )
+    return index[name]
+
+
+def _energy_points(manifest: Manifest) -> list[str]:
+    return [point.name for point in manifest.points if quantity(point.unit) in ("energy", "power")]
+
+
+def powers(kind: str, names: Sequence[str] | None, manifest: Manifest) -> tuple[Indices, float]:
+    """Return points of power or energy and the factor from their sum to the mean power of the timestep in W.
+
+    They are the points that are named, else the meter of the HVAC's electricity, else EnergyPlus's demand rate.
     """
     if names is not None:
         check_distinct(kind, names)
-        return indices([named(kind, name, manifest, ["W"]) for name in names]), 1.0
+        points = [energy_point(kind, name, manifest) for name in names]
+        units = list(dict.fromkeys(manifest.points[point].unit for point in points)) or ["W"]
+        if len(units) > 1:
+            raise InvalidConfig(f"the {kind} reward adds up its `power`, which is in {' and '.join(units)}; name one")
+        return indices(points), 1e3 * power_kw(units[0], manifest.step_s)
     meters = observed_meters(manifest)
     if HVAC_METER in meters:
         return indices([meters[HVAC_METER]]), 1.0 / manifest.step_s
@@ -85,7 +120,8 @@ def powers(kind: str, names: Sequence[str] | None, manifest: Manifest) -> tuple[
     if not sensors:
         raise InvalidConfig(
             f"the {kind} reward needs the HVAC's power: name the meter 'HVAC:Electricity' in meters=, or a sensor of "
-            f"'{HVAC_POWER}' (key 'Whole Building') in sensors=, or name another power sensor as the reward's `power`"
+            f"'{HVAC_POWER}' (key 'Whole Building') in sensors=; or, as of HVAC that needs no electricity, name other "
+            f"meters or power sensors as the reward's `power`; {did_you_mean('hvac', _energy_points(manifest))}"
         )
     return indices(sensors[:1]), 1.0
 

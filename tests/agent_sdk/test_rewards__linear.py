@@ -76,6 +76,19 @@ def test_rewards__factors_scale_their_terms() -> None:
     assert (terms["energy"], terms["comfort"]) == pytest.approx((-0.1, -1.5))
 
 
+def test_rewards__power_of_meters_is_their_energy_over_the_timestep() -> None:
+    node = manifest(
+        sensors=NODE.sensors,
+        meters=[meter("cooling", "DistrictCooling:Facility"), meter("heating", "DistrictHeatingWater:Facility")],
+    )
+    energy_j = 1000.0 * node.step_s
+    got = LinearReward(power=("cooling", "heating")).bind(node)(
+        np.array([-40.0, 21.0, 5000.0, 22.0, 0.25 * energy_j, 0.75 * energy_j]), WINTER
+    )
+    assert got.metrics["power_w"] == pytest.approx(1000.0)
+    assert got.terms["energy"] == pytest.approx(-0.05)
+
+
 # The season
 
 
@@ -218,9 +231,10 @@ def test_rewards__point_that_is_missing_is_named(reward: LinearReward, node: Man
 
 
 def test_rewards__joules_are_not_taken_for_watts() -> None:
-    with pytest.raises(InvalidConfig, match="'electricity'"):
-        LinearReward(power="electricity").bind(NODE)
-    with pytest.raises(InvalidConfig, match="'electricity'"):
+    joules = np.array([-40.0, 21.0, 0.0, 22.0, 1000.0 * NODE.step_s])
+    got = LinearReward(power="electricity").bind(NODE)(joules, WINTER)
+    assert got.metrics["power_w"] == pytest.approx(1000.0)
+    with pytest.raises(InvalidConfig, match="in W and J"):
         LinearReward(power=("power", "electricity")).bind(NODE)
 
 

@@ -39,6 +39,10 @@ BARE = node_of(sensor("outdoor", "Site Outdoor Air Drybulb Temperature"))
 WARM = node_of(SENSORS[1], SENSORS[3], meters=[meter("water", "Water:Facility").model_copy(update={"unit": "m3"})])
 UNBINDABLE: dict[str, tuple[RewardConfig, Manifest, str]] = {
     "no power": (ExponentialReward(), BARE, "the exponential reward needs the HVAC's power: .* 'HVAC:Elec"),
+    "power of district cooling": (
+        LinearReward(), node_of(SENSORS[1], meters=[meter("cold", "DistrictCooling:Facility")]),
+        "of HVAC that needs no electricity, name other meters .* `power`; there are: 'cold'"),
+    "power in two units": (LinearReward(power=("fans", "electricity")), NODE, "`power`, which is in W and J; name one"),
     "no zone": (PeakReward(energy="fans"), node_of(SENSORS[4]), "the peak reward needs .* 'Zone Air Temperature'"),
     "no energy": (PeakReward(), node_of(SENSORS[1]), "the peak reward needs the energy .*'Electricity:Facility' in m"),
     "unknown energy": (PeakReward(energy="elec"), NODE, "'elec', .* not have; did you mean 'electricity'"),
