@@ -66,6 +66,21 @@ class Same(Tank):
 
     def step(self, commands):
         return super().step({"valve": 2 * commands["level"]})
+
+
+class Fast:
+    """Thirty levels and four steps in a second."""
+    step_s = 0.25
+    begin = "2026-01-12T00:00"
+    duration_s = 600.0
+    sensors = {f"level_{place}": "m" for place in range(30)}
+    actuators = {}
+
+    def reset(self, seed):
+        return dict.fromkeys(self.sensors, 0.0)
+
+    def step(self, commands):
+        return dict.fromkeys(self.sensors, 1.0)
 '''
 ALARMS = "alarms: [{name: empty, points: [level], low: -1.0, high: 30.0, unit: m, priority: high}]\n"
 SCENARIO = """
@@ -138,6 +153,15 @@ def time_at(page: Any, share: float) -> str:
     box = page.locator(".trend-panel .u-over").bounding_box()
     page.mouse.move(box["x"] + 2 + share * (box["width"] - 4), box["y"] + 60)
     return str(page.locator(".trend-panel .when").inner_text())
+
+
+def drag(page: Any, begin: float, end: float) -> None:
+    """Choose a part of the trends from one share of their width to another."""
+    box = page.locator(".trend-panel .u-over").bounding_box()
+    page.mouse.move(box["x"] + begin * box["width"], box["y"] + 60)
+    page.mouse.down()
+    page.mouse.move(box["x"] + end * box["width"], box["y"] + 60, steps=4)
+    page.mouse.up()
 
 
 def test_builder__new_scenario_is_not_the_one_that_was_opened(ada: Visitor, room: Any, mine: Path) -> None:
@@ -237,7 +261,7 @@ def test_pages__hidden_page_has_no_stream_and_follows_again_when_it_is_shown(
     until(lambda: room.room.updates.followers == 0, "it does not follow")
     page.get_by_role("link", name="Control room").click()  # another page in the same tab
     page.evaluate(hide, False)
-    page.locator(".card").wait_for()
+    page.locator(".card").first.wait_for()
     assert room.room.updates.followers == 1
 
 
@@ -267,11 +291,7 @@ def test_trends__samples_of_a_node_without_history_are_zoomed(
     for _ in range(9):
         step_and_show(page, bus, "bare")
     until(lambda: time_at(page, 0.0).endswith("03:00"), "the last six hours are shown")
-    box = page.locator(".trend-panel .u-over").bounding_box()
-    page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 60)
-    page.mouse.down()
-    page.mouse.move(box["x"] + 0.7 * box["width"], box["y"] + 60, steps=4)
-    page.mouse.up()
+    drag(page, 0.3, 0.7)
     page.get_by_text("follow again").wait_for()
     until(lambda: time_at(page, 0.0).endswith("05:00"), "the chart begins with the first sample of the choice")
     step_and_show(page, bus, "bare")
@@ -288,6 +308,24 @@ def test_trends__range_drops_samples_that_are_older(ada: Visitor, room: Any, bus
         step_and_show(page, bus, "tank")
     before = bus.status("tank").step[0] - 6
     until(lambda: time_at(page, 0.0).endswith(f"{before % 24:02}:00"), "the chart begins six hours ago")
+
+
+def test_trends__of_a_fast_plant_are_zoomed_to_seconds_and_name_the_lines_that_are_left_out(
+    ada: Visitor, room: Any, bus: zenostat.Bus, tank: NodeProgram, module_folder: Path
+) -> None:
+    with second_node(bus, tank, module_folder, "fast", "Fast"):
+        bus.step("fast", 80)
+        until(lambda: bus.status("fast").step == [80], "20 s are simulated")
+        chosen = ",".join(f"level_{place}" for place in range(30))
+        page = ada.open(f"{room.url}/?node=fast&range=all&trend={chosen}")
+        page.locator(".legend", has_text="the first 24; 6 others not drawn").wait_for()
+        assert page.locator(".legend .swatch").count() == 24
+        page.locator(".trend-panel .u-over").scroll_into_view_if_needed()
+        until(lambda: time_at(page, 1.0) == "Mon 2026-01-12 00:00:20.000", "20 s are shown")
+        drag(page, 0.3, 0.7)
+        page.get_by_text("follow again").wait_for()
+        until(lambda: time_at(page, 0.0).endswith("00:00:06.000"), "seconds 6 to 14 are shown")
+        assert time_at(page, 1.0).endswith("00:00:14.000")
 
 
 def test_point__forms_begin_with_the_whole_value(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:

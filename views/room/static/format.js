@@ -58,7 +58,7 @@ export function shown(point, value) {
   return value === null || value === undefined || value === point.unset ? null : value * (point.factor ?? 1);
 }
 
-const DAYS = ["Sun", "Mon", "Tue", "Wed", "Thu", "Fri", "Sat"];
+export const DAYS = ["Sun", "Mon", "Tue", "Wed", "Thu", "Fri", "Sat"];
 const MONTHS = ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"];
 
 /** Seconds since 1970 of a simulated time, as if it were UTC. */
@@ -80,9 +80,15 @@ export function shortTime(time) {
   return `${date.getUTCDate()} ${MONTHS[date.getUTCMonth()]} ${clock(date)}`;
 }
 
-function clock(date) {
-  const two = (number) => String(number).padStart(2, "0");
-  return `${two(date.getUTCHours())}:${two(date.getUTCMinutes())}`;
+/** `18:15`, and with a distance below a minute or a second between times `18:15:01` or `18:15:01.250`. */
+export function clock(date, step_s = 60) {
+  return date.toISOString().slice(11, step_s >= 60 ? 16 : step_s >= 1 ? 19 : 23);
+}
+
+/** The begin of the hours until a simulated time, such as `2017-07-02T18:15:00`; null if that is before the earliest time. */
+export function hoursBefore(time, hours, earliest) {
+  const begin = new Date((seconds(time) - hours * 3600) * 1000).toISOString().slice(0, 19);
+  return begin < earliest ? null : begin;
 }
 
 /** Simulated seconds per second as `15 min/s`, `1 h/s` or `60×`. */

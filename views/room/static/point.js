@@ -2,14 +2,13 @@
 
 import { get, nodePath, operate } from "./api.js";
 import { fill, h, icon, setText } from "./dom.js";
-import { duration, num, seconds, shortTime, shown, withUnit, words } from "./format.js";
+import { duration, hoursBefore, num, shortTime, shown, withUnit, words } from "./format.js";
 import { forOperators, mayChange, refusalNote } from "./session.js";
 import { chart } from "./trends.js";
 import { change, view } from "./view.js";
 
 const PRIORITIES = { 1: "manual life safety", 2: "automatic life safety", 5: "critical equipment", 6: "minimum on/off time", 8: "manual operator", 10: "controllers", 16: "lowest" };
 const DURATIONS = [[3600, "1 h"], [7200, "2 h"], [14400, "4 h"], [28800, "8 h"], [86400, "1 day"], ["", "until relinquished"]];
-const DAY_S = 86400;
 
 function priorityName(number) {
   return PRIORITIES[number] ? `${number} · ${PRIORITIES[number]}` : String(number);
@@ -90,9 +89,9 @@ export class PointPanel {
 
   async trend() {
     if (!this.description.history_samples || !this.state?.time) return;
-    const begin = new Date((seconds(this.state.time) - DAY_S) * 1000).toISOString().slice(0, 19);
+    const begin = hoursBefore(this.state.time, 24, this.description.begin);
     const query = new URLSearchParams({ point: this.point.id, max: 400 });
-    if (begin > this.description.begin) query.set("from", begin);
+    if (begin) query.set("from", begin);
     try {
       const answer = await get(`${nodePath(this.node, "history")}?${query}`);
       const [{ values, lows, highs }] = answer.points;

@@ -2,7 +2,7 @@
 
 import { get, nodePath } from "./api.js";
 import { fill, h, icon } from "./dom.js";
-import { seconds, shown, ticks, withUnit } from "./format.js";
+import { clock, counted, DAYS, hoursBefore, seconds, shown, ticks, withUnit } from "./format.js";
 import { change, view } from "./view.js";
 
 const uPlot = window.uPlot;
@@ -15,14 +15,12 @@ function css(name) {
   return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 }
 
-const DAYS = ["Sun", "Mon", "Tue", "Wed", "Thu", "Fri", "Sat"];
-
 /** Labels of a time axis: hours, and the day where it begins. */
 function timeLabels(_, splits, axis, space, step) {
   return splits.map((split, place) => {
     const date = new Date(split * 1000);
     const day = `${DAYS[date.getUTCDay()]} ${date.getUTCDate()}/${date.getUTCMonth() + 1}`;
-    const hour = `${String(date.getUTCHours()).padStart(2, "0")}:${String(date.getUTCMinutes()).padStart(2, "0")}`;
+    const hour = clock(date, step);
     if (step >= 86400) return day;
     const isFirst = place === 0 || new Date(splits[place - 1] * 1000).getUTCDate() !== date.getUTCDate();
     return isFirst ? `${hour}\n${day}` : hour;
@@ -156,13 +154,16 @@ export class Trends {
     return presets;
   }
 
+  /** Ids of the points that are drawn. */
+  names() { return this.wanted().slice(0, MAX_LINES); }
+
   /** Ids of the points that the address asks for. */
-  names() {
+  wanted() {
     const { trend, zone } = view();
     const { zones, points } = this.description;
     const name = (place) => (place === null || place === undefined ? null : points[place].id);
-    const known = (list) => [...new Set(list)].filter((each) => each && this.byName.has(each)).slice(0, 24);
-    if (trend && trend !== "power" && trend !== "zones") return known(trend.split(","));
+    const known = (list) => [...new Set(list)].filter((each) => each && this.byName.has(each));
+    if (this.chosen().length) return known(this.chosen());
     if (trend === "power") {
       const { facility, hvac, outdoor } = this.description;
       return known([name(facility?.point), name(hvac?.point), name(outdoor)]);
@@ -172,18 +173,18 @@ export class Trends {
       return known([name(selected.temperature), name(selected.heating_actuator ?? selected.heating_setpoint),
         name(selected.cooling_actuator ?? selected.cooling_setpoint), name(selected.occupants), name(this.description.outdoor)]);
     }
-    if (zones.length) return known(zones.slice(0, 20).map((each) => name(each.temperature)));
+    if (zones.length) return known(zones.map((each) => name(each.temperature)));
     return known(points.slice(0, 6).map((point) => point.id));
   }
 
   /** Add a point to the lines, or remove it from them. */
   toggle(name) {
-    const { trend } = view();
-    const chosen = trend && trend !== "power" && trend !== "zones" ? trend.split(",") : [];
+    const chosen = this.chosen();
     const next = chosen.includes(name) ? chosen.filter((each) => each !== name) : [...chosen, name];
     change({ trend: next.join(",") || null }, { replace: true });
   }
 
+  /** Ids of the points that somebody has chosen; none of a preset. */
   chosen() {
     const { trend } = view();
     return trend && trend !== "power" && trend !== "zones" ? trend.split(",") : [];
@@ -192,7 +193,7 @@ export class Trends {
   onView() {
     const { range = "24", from, to, trend } = view();
     for (const button of this.ranges.children) button.setAttribute("aria-pressed", String(!from && button.dataset.range === range));
-    const preset = trend && trend !== "power" && trend !== "zones" ? "" : trend ?? "zones";
+    const preset = this.chosen().length ? "" : trend ?? "zones";
     for (const button of this.presets.children) button.setAttribute("aria-pressed", String(button.dataset.preset === preset));
     this.live.hidden = !(from && to);
     const wanted = this.hasHistory ? [range, from, to] : [];  // else what is kept is drawn
@@ -244,8 +245,7 @@ export class Trends {
     if (from && to) return [from, to];
     if (range === "all" || !this.state?.time) return [null, null];
     const hours = Number(range) > 0 ? Number(range) : 24;
-    const begin = new Date((seconds(this.state.time) - hours * 3600) * 1000).toISOString().slice(0, 19);
-    return [begin < this.description.begin ? null : begin, null];
+    return [hoursBefore(this.state.time, hours, this.description.begin), null];
   }
 
   async load() {
@@ -307,8 +307,8 @@ export class Trends {
       fill(this.legend);
       return;
     }
-    const next = this.series(data);
-    const shape = JSON.stringify([this.canvas.clientWidth, css("--grid"), next.map((each) => [each.name, each.unit])]);
+    const next = this.series(data), left = this.wanted().length - next.length;
+    const shape = JSON.stringify([left, this.canvas.clientWidth, css("--grid"), next.map((each) => [each.name, each.unit])]);
     if (this.plot && shape === this.shape) {
       next.forEach((each, column) => Object.assign(this.lines[column], each));
       this.shownBand = Object.assign(this.shownBand, this.band() ?? NO_BAND);
@@ -323,10 +323,11 @@ export class Trends {
     this.lines = series;
     this.shownBand = { ...(this.band() ?? NO_BAND) };
     this.plot = chart(this.canvas, { time: data.time, series, band: this.shownBand, height: this.canvas.clientWidth < 500 ? 220 : 290,
+      least: Math.max(1, this.description.step_s),
       onZoom: (from, to) => change({ from: iso(from), to: iso(to) }, { replace: true }),
       onReset: () => change({ from: null, to: null }, { replace: true }) });
     const removable = this.chosen().length > 0;
-    fill(this.legend, series.map((each, column) => h("li", {},
+    fill(this.legend, left > 0 && h("li", { class: "muted" }, `the first ${MAX_LINES}; ${counted(left, "other")} not drawn`), series.map((each, column) => h("li", {},
       swatch(each), h("span", {}, each.label),
       h("span", { class: "number legend-value", "data-column": column }, withUnit(last(each.values), each.unit)),
       removable && h("button", { class: "quiet small", "aria-label": `Remove ${each.label}`, onclick: () => this.toggle(each.name) }, icon("close")))));
@@ -341,7 +342,8 @@ export class Trends {
       const each = series[cell.dataset.column];
       cell.textContent = withUnit(idx === null ? last(each.values) : each.values[idx], each.unit);
     }
-    this.when.textContent = idx === null ? "" : `${DAYS[new Date(plot.data[0][idx] * 1000).getUTCDay()]} ${new Date(plot.data[0][idx] * 1000).toISOString().slice(0, 16).replace("T", " ")}`;
+    const date = idx === null ? null : new Date(plot.data[0][idx] * 1000);
+    this.when.textContent = date === null ? "" : `${DAYS[date.getUTCDay()]} ${date.toISOString().slice(0, 10)} ${clock(date, this.description.step_s % 60 || 60)}`;
   }
 }
 
