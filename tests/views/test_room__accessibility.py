@@ -1,4 +1,4 @@
-"""Contrast, names and structure of each page of the control room, by axe-core in a browser, in light and dark."""
+"""Contrast, names and structure of each page of the control room, by axe-core in a browser, light, dark and as wide as a phone."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -62,9 +62,12 @@ def room(module_folder: Path) -> Iterator[Any]:
         yield server
 
 
-@pytest.fixture(scope="module", params=["light", "dark"])
+@pytest.fixture(
+    scope="module", params=[("light", 1280), ("dark", 1280), ("light", 360)], ids=["light", "dark", "phone"]
+)
 def visitor(browser: Any, room: Any, request: pytest.FixtureRequest) -> Iterator[Visitor]:
-    started = Visitor(browser, scheme=request.param)
+    scheme, width = request.param
+    started = Visitor(browser, scheme=scheme, width=width)
     started.open(room.room.link("ada")).locator(".card").wait_for()
     yield started
     started.close()
