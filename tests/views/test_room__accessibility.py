@@ -1,4 +1,4 @@
-"""Contrast, names and structure of each page of the control room, by axe-core in a browser, light, dark and as wide as a phone."""
+"""Contrast, names and structure of the pages of the control room, by axe-core: light, dark, as wide as a phone."""
 
 from collections.abc import Iterator
 from pathlib import Path
