@@ -33,6 +33,11 @@ class Access:
         self._holders: dict[str, str] = {}
         self._by_role: dict[tuple[str, str], str] = {}
 
+    @property
+    def revoked(self) -> Collection[str]:
+        """The revoked names."""
+        return self._revoked()
+
     def of_branch(self, owner: str) -> Access:
         """Return the permissions on a branch that a controller has created."""
         return Access(self._names, self._revoked, owner)

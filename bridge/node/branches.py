@@ -289,6 +289,7 @@ class BranchManager:
                 lambda controller: server.publish_events(exchange.fallback.on_disconnect(controller, monotonic())),
                 server.on_reconnect,
             )
+            server.revoke_again()
             server.publish()
             server.announce()
         except BaseException:

@@ -183,6 +183,8 @@ class EpisodeManager:
             server.publications.manifest(server.manifest)
         self._recordings.begin_episodes(steps, seeds, source, "" if snapshot is None else snapshot.name)
         self._publish_start(source, sorted(steps))
+        if snapshot is not None:
+            server.revoke_again()
         server.publish()
 
     def _publish_start(self, source: str, slots: Sequence[int]) -> None:

@@ -269,14 +269,6 @@ class Node:
 
         self.server.subscriptions.post(revoke)
 
-    def _revoke_meanwhile(self) -> None:
-        """End what names have in a recording that were revoked while no node was there."""
-        exchange = self.exchange
-        holders = {*exchange.claims.by_name, *exchange.source_names}
-        for name in () if self._deny_list is None else sorted(self._deny_list.names):
-            if any(holder and keys.is_own(name, holder) for holder in holders):
-                self.server.revoke(name)
-
     def _on_unreadable_deny_list(self, error: str) -> None:
         text = f"{error}; the names that are revoked stay so until the node is started again"
         self.server.subscriptions.post(lambda: self.server.event(self.server.exchange.event(EventKind.WARNING, text)))
@@ -333,7 +325,7 @@ class Node:
             server.publish()
         else:
             server.go_on(self._resumption.describe())
-            self._revoke_meanwhile()
+            server.revoke_again()
         server.announce()
         if any(instance < self.instance for instance in instances(self.session, self.settings.name)):
             # Of two nodes that started at once, the lower id remains.

@@ -417,6 +417,13 @@ class NodeServer:
         """End the claims of a certificate's name that is revoked, and relinquish what it has set."""
         self.publish_events(revoke(self.exchange, name))
 
+    def revoke_again(self) -> None:
+        """End what revoked names have in a former state: that of a snapshot or a recording."""
+        holders = {*self.exchange.claims.by_name, *self.exchange.source_names}
+        for name in () if self.access is None else sorted(self.access.revoked):
+            if any(holder and keys.is_own(name, holder) for holder in holders):
+                self.revoke(name)
+
     def _bypass(self, controller: str) -> None:
         try:
             self.publish_events(self.exchange.fallback.bypass(controller, monotonic(), self.manifest.grace_s))

@@ -35,7 +35,7 @@ from zenostat.topics.messages import (
 )
 
 PLANT = "zenostat.agent_sdk.testing.fake_plant:FakePlant"
-PEOPLE = ("ann", "bob", "cleo", "dan")
+PEOPLE = ("ann", "bob", "cleo", "dan", "eve")
 BOTH = (Role.CONTROLLER, Role.OPERATOR)
 
 
@@ -120,6 +120,37 @@ def test_revoke__ends_claims_values_and_links_of_a_name_and_nothing_of_others(
             until(lambda: own.session.info.links() == [], "its link has ended")
             others.write("room", rest[0], None, priority=4)
     assert name in read_revoked(pki)
+
+
+def test_revoke__values_of_the_name_do_not_come_back_with_a_snapshot(
+    node: NodeProgram, pki: Path, operator: Bus
+) -> None:
+    with connect(node, pki, "cleo") as cleo, connect(node, pki, "eve") as eve, events_of(operator, "room") as events:
+        revoked, kept = (f"zone_{number}_cooling_setpoint" for number in (1, 2))
+        with cleo.controller("room", name="trainer", actuators=[]) as link:
+            link.reset()
+            cleo.write("room", kept, 25.0, priority=2)
+            eve.write("room", revoked, 26.0, priority=2, source="screen")
+            link.send({})
+            link.receive()
+            snapshot = cleo.snapshot("room", link.name).snapshot
+            before = operator.priorities("room")
+            assert before[revoked][1].source == "eve.screen"
+            operator.revoke("room", "eve")
+            assert next_event(events, EventKind.REVOKED).source == "eve"
+            for _ in range(2):
+                link.reset(snapshot=snapshot)
+                after = operator.priorities("room")
+                assert {name: row[1].source for name, row in after.items()} == {
+                    name: "cleo" if name == kept else None for name in after
+                }
+                assert after[kept] == before[kept]
+                link.send({})
+                assert link.receive().value_source[revoked] != "eve.screen"
+                event = next_event(events, EventKind.REVOKED)
+                assert (event.source, event.text) == ("eve", f"eve is revoked; relinquished: {revoked}")
+            branch = cleo.branch("room", CreateBranch(controller=link.name, snapshot=snapshot))
+            assert operator.priorities(branch) == after
 
 
 @pytest.mark.slow
