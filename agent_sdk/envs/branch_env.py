@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from zenoh import ZError
 
 from zenostat.agent_sdk.envs.action_values import as_array
+from zenostat.agent_sdk.envs.connection import one_caller
 from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv, Observations, check_count
 from zenostat.agent_sdk.envs.vector_infos import Infos
 from zenostat.agent_sdk.envs.vector_sample import VectorSample
@@ -116,15 +117,18 @@ class BranchVectorEnv(BuildingVectorEnv):
         raise InvalidConfig("a branch has no snapshots; take one of its environment")
 
     def _restarting_slots(self) -> list[int]:
-        if self.closed or self._done.any():
+        if self.closed or self._done.any() or self._sample is None:
             self._connection.check_open()
-            raise EpisodeChanged("the episode is over in a slot of this branch; close it and make another one")
+            raise EpisodeChanged(
+                "the episode is over in a slot of this branch, or was interrupted; close it and make another one"
+            )
         return []
 
     def plan(self, actions: ArrayLike) -> NDArray[np.float64]:
         """Simulate a sequence of actions in each slot; return the rewards, shape (slots, timesteps); see `rollout`."""
         return self.rollout(actions).rewards
 
+    @one_caller
     def rollout(self, actions: ArrayLike) -> Rollout:
         """Simulate a sequence of actions in each slot, in one request to the node.
 

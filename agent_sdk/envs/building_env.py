@@ -16,7 +16,14 @@ from numpy.typing import ArrayLike, NDArray
 from zenostat.agent_sdk.envs import arguments, spaces
 from zenostat.agent_sdk.envs.action_values import Actions, as_array
 from zenostat.agent_sdk.envs.branch_env import BranchVectorEnv, branch_request, open_branch
-from zenostat.agent_sdk.envs.connection import RENDER_MODES, ConnectedEnv, Link, NodeConnection, one_caller
+from zenostat.agent_sdk.envs.connection import (
+    NOT_STARTED,
+    RENDER_MODES,
+    ConnectedEnv,
+    Link,
+    NodeConnection,
+    one_caller,
+)
 from zenostat.agent_sdk.envs.episode_state import EpisodeState, require_episode
 from zenostat.agent_sdk.envs.infos import SampleInfos
 from zenostat.agent_sdk.envs.rendering import EpisodeRenderer
@@ -343,6 +350,8 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         Raises:
             InvalidAction: Wrong shape, out of bounds, not finite, or no such choice; nothing was simulated.
             NodeLost, SimulatorError, RequestRejected, EpisodeChanged: See `ControllerLink.receive`.
+            EpisodeChanged: Also after a step that Ctrl-C interrupted, since the node has simulated its timestep; a
+                reset starts anew.
             UsageError: Another thread is in `step` or `reset`.
         """
         self.step_async(action)
@@ -356,11 +365,11 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
             UsageError: The previous timestep still waits for `step_wait`.
         """
         previous = self._sample
-        if self._pending is not None:
-            raise UsageError("step_async() was called already; call step_wait() next")
         if previous is None or self._ended or self._connection.closed:
             self._connection.check_open()
-            raise EpisodeChanged("the episode is over; call reset()" if previous else "call reset() before step()")
+            raise EpisodeChanged("the episode is over; call reset()" if previous else NOT_STARTED)
+        if self._pending is not None:
+            raise UsageError("step_async() was called already; call step_wait() next")
         if self._state.programs:
             self._state.apply_programs(previous.time, self.set_context)
         values, operations = self._actions.command(action, previous.fault_free_values, self._state.context)

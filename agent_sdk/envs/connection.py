@@ -34,6 +34,7 @@ NAME = "building"
 AGENT = "agent"
 """The environment's name in its own `info["value_source"]`; its name on the bus differs from run to run."""
 RENDER_MODES = ("rgb_array", "rerun")
+NOT_STARTED = "call reset() before step(); an interrupted step ends its episode"
 BUSY = "another thread is in step() or reset() of this environment; one thread at a time, or an environment for each"
 
 
@@ -366,15 +367,22 @@ class ConnectedEnv(SpaceNames):
     """An environment, or a vector of them, that is connected to a node."""
 
     _connection: NodeConnection
+    _sample: Any
 
     @property
     def local_node(self) -> LocalNode | None:
         """The local node; None if the node runs elsewhere."""
         return self._connection.local_node
 
+    def leave_episode(self) -> None:
+        """Require a reset after Ctrl-C: the node simulates the interrupted timestep, whose sample nobody receives."""
+        self._sample = None
+
     def _forkable_link(self) -> ControllerLink:
         self._connection.check_open()
         return require_node(self._connection.link)
 
 
-one_caller = one_thread(BUSY, lambda self: self._connection.check_open())
+one_caller = one_thread(
+    BUSY, explain=lambda self: self._connection.check_open(), interrupted=lambda self: self.leave_episode()
+)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from zenostat.agent_sdk.envs import arguments
 from zenostat.agent_sdk.envs.action_values import Actions
 from zenostat.agent_sdk.envs.building_env import BuildingEnv, Observation
-from zenostat.agent_sdk.envs.connection import BUSY
+from zenostat.agent_sdk.envs.connection import BUSY, NOT_STARTED
 from zenostat.agent_sdk.envs.fleet_nodes import (
     NODE_ERRORS,
     all_results,
@@ -248,7 +248,7 @@ class FleetVectorEnv(SlotAccess, SpaceNames, VectorEnv[Observations, Any, NDArra
     def _idle_slots(self) -> list[int]:
         """Return the slots that get no command in this step: their episode has ended, or their node is lost."""
         if not self._started:
-            raise EpisodeChanged("call reset() before step()")
+            raise EpisodeChanged(NOT_STARTED)
         idle: list[int] = np.flatnonzero(self._done).tolist()
         check_restart(self.autoreset_mode, [slot for slot in idle if not self._lost[slot]])
         return idle

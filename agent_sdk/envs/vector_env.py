@@ -14,7 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from zenostat.agent_sdk.envs import arguments, spaces
 from zenostat.agent_sdk.envs.action_values import Actions
-from zenostat.agent_sdk.envs.connection import RENDER_MODES, ConnectedEnv, NodeConnection, VectorLink, one_caller
+from zenostat.agent_sdk.envs.connection import (
+    NOT_STARTED,
+    RENDER_MODES,
+    ConnectedEnv,
+    NodeConnection,
+    VectorLink,
+    one_caller,
+)
 from zenostat.agent_sdk.envs.episode_state import EpisodeState, require_episode
 from zenostat.agent_sdk.envs.infos import VectorSampleInfos
 from zenostat.agent_sdk.envs.rendering import EpisodeRenderer
@@ -253,7 +260,7 @@ class BuildingVectorEnv(SlotAccess, ConnectedEnv, VectorEnv[Observations, Any, N
         """Return the slots that start a new episode in this step."""
         if self._sample is None or self.closed:
             self._connection.check_open()
-            raise EpisodeChanged("call reset() before step()")
+            raise EpisodeChanged(NOT_STARTED)
         done: list[int] = np.flatnonzero(self._done).tolist() if self._done.any() else []
         check_restart(self.autoreset_mode, done)
         return done

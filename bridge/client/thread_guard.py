@@ -19,13 +19,14 @@ class _Guarded(Protocol):
 
 
 def one_thread(
-    refusal: str, explain: Callable[[Any], None] = lambda _: None
+    refusal: str, explain: Callable[[Any], None] = lambda _: None, interrupted: Callable[[Any], None] = lambda _: None
 ) -> Callable[[Method[S, P, R]], Method[S, P, R]]:
     """Return a decorator of the methods that one thread at a time may call; the object has `_busy`, at first False.
 
     Args:
         refusal: text of the `UsageError` that any other thread gets meanwhile.
         explain: called with the object after an error of the episode or the bus; may raise another one in its place.
+        interrupted: called with the object after a `KeyboardInterrupt` or another exception that is no `Exception`.
     """
 
     def decorate(method: Method[S, P, R]) -> Method[S, P, R]:
@@ -38,6 +39,11 @@ def one_thread(
                 return method(self, *args, **kwargs)
             except (EpisodeChanged, BusError):
                 explain(self)
+                raise
+            except Exception:
+                raise
+            except BaseException:
+                interrupted(self)
                 raise
             finally:
                 self._busy = False
