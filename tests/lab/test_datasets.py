@@ -119,7 +119,7 @@ def test_datasets__reader_without_minari_finds_the_same_arrays(folder: Path) -> 
 
 
 def test_datasets__loader_of_transitions_gets_the_recovered_environments_own_steps(folder: Path) -> None:
-    """d3rlpy's loader does so: observations without the last, actions, rewards, ends; then the environment."""
+    """Observations without the last, actions, rewards, ends; then the environment."""
     assert folder.is_dir()
     write_dataset(fake(), ["rbc", "random"], ID, episodes=2, seed=3, epsilon=0.3)
     dataset = minari.load_dataset(ID)
