@@ -63,7 +63,7 @@ class Counts:
 class Gateway:
     """Connects ZeroMQ peers to a bus: `with Gateway(session) as gateway: gateway.run()`.
 
-    The constructor binds the sockets and queries the nodes. Requests and subscriptions that arrive meanwhile are kept
+    The constructor queries the nodes and binds the sockets. Requests and subscriptions that arrive meanwhile are kept
     until `run`.
 
     Args:
@@ -114,12 +114,14 @@ class Gateway:
         self._close = ExitStack()
         with ExitStack() as undo:
             undo.callback(self.close)
-            self._sockets = self._close.enter_context(Sockets(publish, command, lease_s=lease_s))
-            self.publish, self.command = self._sockets.publish, self._sockets.command
-            self._bus = BusSide(session, self._sockets.post, "zeromq")
+            self._bus = BusSide(session, lambda task: self._sockets.post(task), "zeromq")  # noqa: PLW0108
             self._close.callback(self._bus.close)
             self._queues = DeliveryQueues(self._bus, self._nodes, self._answer)
-            names = self._bus.nodes(self.node)  # first: Zenoh replies without tokens while it transfers their history
+            # Before the sockets, which would take requests from their peers' queues and lose them if there is no node;
+            # and before `listen`: Zenoh replies without tokens while it transfers their history.
+            names = self._bus.nodes(self.node)
+            self._sockets = self._close.enter_context(Sockets(publish, command, lease_s=lease_s))
+            self.publish, self.command = self._sockets.publish, self._sockets.command
             self._bus.listen(self.node, self._receive, self._presence)
             for name in names:
                 self._register_node(self._bus.fetch(keys.MANIFEST, name))

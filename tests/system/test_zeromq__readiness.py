@@ -13,7 +13,9 @@ from support.zeromq import GatewayProgram, Peer, gateway, module_gateway
 from zenoh.handlers import Callback
 
 import zenostat
+from zenostat.gateways.zeromq import Gateway
 from zenostat.topics import codec, keys
+from zenostat.topics.errors import AddressInUse, NodeNotFound
 from zenostat.topics.messages import ErrorReply, EventKind, Manifest, Sample
 
 __all__ = ["gateway", "module_gateway"]
@@ -50,6 +52,14 @@ def test_sockets_older_than_the_gateway__receive_samples_and_answers(episode_bus
         early.say("command/c", episode=[0], step=[0], values=b"")
         with GatewayProgram(episode_bus.endpoint, *at):
             assert "'c' has claimed nothing; claim first" in early.answer()[1]["message"]
+
+
+def test_gateway__takes_no_requests_while_its_node_is_not_there(shared_node, gateway):
+    """What it had taken from its peers' queues would be lost with its sockets, which it binds after that."""
+    with zenostat.connect(shared_node.endpoint, affinity="off") as bus:
+        for node, error in (("absent", NodeNotFound), ("office", AddressInUse)):
+            with pytest.raises(error):
+                Gateway(bus.session, node, publish=gateway.publish, command=gateway.command)
 
 
 @pytest.mark.slow
