@@ -102,7 +102,7 @@ class NodeState:
 
     def __init__(self, node: NodeClient, source: str, changed: Callable[[], None]) -> None:
         self.node, self._source, self._changed = node, source, changed
-        self.arrays: LatestReply[dict[str, list[PriorityValue]]] = LatestReply(node.priorities, {})
+        self.arrays: LatestReply[dict[str, list[PriorityValue]] | None] = LatestReply(node.priorities, None)
         self.status: LatestReply[Status | None] = LatestReply(self._ask_status, None)
         self.set_manifest(node.manifest)
         node.listeners.samples.append(self._on_sample)
@@ -112,12 +112,12 @@ class NodeState:
     def set_manifest(self, manifest: Manifest) -> None:
         """Forget the values of the previous manifest's points."""
         self._values = np.full(len(manifest.points), np.nan)
-        self._effective = np.full(len(manifest.actuators), np.nan)
+        self._effective = self._commanded = np.full(len(manifest.actuators), np.nan)
         self._baseline = np.array(
             [np.nan if actuator.default is None else actuator.default for actuator in manifest.actuators]
         )
         self._knows_baseline = ~np.isnan(self._baseline)
-        self.arrays.value = {}
+        self.arrays.value = None
         if self.sample is not None and self.sample.manifest is manifest:
             self._on_sample(self.sample)
 
@@ -150,17 +150,26 @@ class NodeState:
         """Return the value that baseline control sets: the latest known; NaN if there was none yet."""
         return float(self._baseline[index])
 
+    def commanded(self, index: int) -> float:
+        """Return the value that commands have set in the latest timestep; NaN under the baseline control."""
+        return float(self._commanded[index])
+
+    @property
+    def has_arrays(self) -> bool:
+        """Whether the node has reported its priority arrays; a replay does not."""
+        return self.arrays.value is not None
+
     def priority_array(self, name: str) -> list[PriorityValue]:
         """Return the 16 entries of an actuator's priority array, as of the latest reply."""
-        return self.arrays.value.get(name) or [NULL] * 16
+        return (self.arrays.value or {}).get(name) or [NULL] * 16
 
     def _on_sample(self, sample: SampleView) -> None:
         self.arrays.failed = False
-        self._values, self._effective = sample.values, sample.effective
+        self._values, self._effective, self._commanded = sample.values, sample.effective, sample.commanded
         if sample.baseline_effective is not None:
             baseline, is_baseline = sample.baseline_effective, ~np.isnan(sample.baseline_effective)
         else:
-            baseline, is_baseline = self._effective, np.isnan(sample.commanded) & ~np.isnan(self._effective)
+            baseline, is_baseline = self._effective, np.isnan(self._commanded) & ~np.isnan(self._effective)
         np.copyto(self._baseline, baseline, where=is_baseline & ~self._knows_baseline)
         self._changed()
 

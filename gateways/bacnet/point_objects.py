@@ -167,16 +167,23 @@ class AnalogOutput(_Analog, AnalogOutputObject):
     """An actuator, with its priority array on the bus."""
 
     _writable = frozenset({"covIncrement", "presentValue"})
-    _needs_arrays = frozenset(
-        {"presentValue", "priorityArray", "currentCommandPriority", "relinquishDefault", "reliability", "statusFlags"}
-    )
+    _of_arrays = frozenset({"priorityArray", "currentCommandPriority"})
+    _needs_arrays = _of_arrays | {"presentValue", "relinquishDefault", "reliability", "statusFlags"}
+
+    async def read_property(self, attr: Any, index: int | None = None) -> Any:
+        """Return a property's value; `PropertyError` for priorities that the node does not report."""
+        value = await super().read_property(attr, index)
+        if not self._state.has_arrays and (attr if isinstance(attr, str) else attr.attr) in self._of_arrays:
+            raise PropertyError("valueNotInitialized")
+        return value
 
     def _command(self) -> tuple[int | None, float]:
         """Return the priority in effect and its value; None and the relinquish default if nobody commands it."""
         for priority, entry in enumerate(self._state.priority_array(self._spec.name), 1):
             if entry.value is not None:
                 return priority, entry.value
-        return None, self._state.baseline(self._spec.position)
+        commanded = math.nan if self._state.has_arrays else self._state.commanded(self._spec.position)
+        return None, self._state.baseline(self._spec.position) if math.isnan(commanded) else commanded
 
     def _value(self) -> float:
         return self._command()[1]
