@@ -73,11 +73,11 @@ class NodeObject(Object):
             return Reliability("communication-failure")
         if self._state.has_failed:
             return Reliability("process-error")
-        return Reliability("unreliable-other" if self._is_unknown() else "no-fault-detected")
+        return Reliability(self._reliability_of_value())
 
-    def _is_unknown(self) -> bool:
-        """Whether the present value is not a number."""
-        return False
+    def _reliability_of_value(self) -> str:
+        """Return the reliability while the node is well."""
+        return "no-fault-detected"
 
     async def read_property(self, attr: Any, index: int | None = None) -> Any:
         """Return a property's value, as of after the request."""
@@ -152,8 +152,11 @@ class _Analog(NodeObject):
     def _value(self) -> float:
         raise NotImplementedError
 
-    def _is_unknown(self) -> bool:
-        return math.isnan(self._value())
+    def _reliability_of_value(self) -> str:
+        value = single(self._value())
+        if math.isinf(value):
+            return "over-range" if value > 0.0 else "under-range"
+        return "unreliable-other" if math.isnan(value) else "no-fault-detected"
 
 
 class AnalogInput(_Analog, AnalogInputObject):

@@ -306,7 +306,9 @@ async def test_bacnet_gateway__subscriber_that_has_not_confirmed_gets_the_last_s
         serving.cancel()
 
 
-async def test_bacnet_gateway__value_that_is_not_a_number_and_a_failed_simulation_are_faults(paused_bus: Bus) -> None:
+async def test_bacnet_gateway__value_without_a_number_in_single_precision_and_a_failed_simulation_are_faults(
+    paused_bus: Bus,
+) -> None:
     async with served(paused_bus.endpoint) as (gateway, reader, _):
         state = gateway._state
         position = paused_bus.manifest("office").names.index(INPUT)
@@ -316,6 +318,9 @@ async def test_bacnet_gateway__value_that_is_not_a_number_and_a_failed_simulatio
         assert await reader.read(INPUT, "reliability") == "unreliable-other"
         assert [int(flag) for flag in await reader.read(INPUT, "status-flags")] == [0, 1, 0, 0]
         assert await reader.read(COOLING, "reliability") == "no-fault-detected"
+        for value, fault in ((1e39, "over-range"), (-1e39, "under-range"), (3.4e38, "no-fault-detected")):
+            state._values[position] = value  # the largest number in single precision is 3.403e38
+            assert await reader.read(INPUT, "reliability") == fault
         failed = codec.encode(Event(kind=EventKind.FAILED, text="it failed"))
         state.node._handle(BusMessage(keys.EVENT.at("office"), codec.encoding(Event), failed))
         assert await reader.read(COOLING, "reliability") == "process-error"
