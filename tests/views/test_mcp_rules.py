@@ -132,6 +132,7 @@ MANIFEST = builders.manifest(
         builders.actuator("core_cooling", 15.0, 30.0),
         builders.actuator("hall_cooling", 15.0, 30.0),
         builders.actuator("valve", None, None),
+        builders.actuator("damper", 0.0, 1.0).model_copy(update={"unit": "1"}),
     ]
 )
 
@@ -170,7 +171,8 @@ def test_writer__write_has_its_name_its_priority_and_an_expiry() -> None:
     ("name", "value", "duration_s", "error", "text"),
     [
         ("core_cooling", 26.5, 60.0, AccessDenied, "26.5 is not from 22 to 26"),
-        ("core_cooling", 21.0, 60.0, AccessDenied, "21 is not from 22 to 26"),
+        ("core_cooling", 21.9999999, 60.0, AccessDenied, "21.9999999 is not from 22 to 26 degC$"),
+        ("damper", 1.5, 60.0, AccessDenied, "damper: 1.5 is not from 0 to 1$"),
         ("core_cooling", 25.0, 4 * 3600.0 + 60, AccessDenied, "up to 240 simulated minutes"),
         ("hall_cooling", 25.0, 60.0, AccessDenied, r"hall_cooling may not be written, only core_\*, valve"),
         ("valve", 0.5, 60.0, AccessDenied, "no bounds of its own"),
@@ -180,7 +182,7 @@ def test_writer__write_has_its_name_its_priority_and_an_expiry() -> None:
 def test_writer__what_is_not_permitted_is_not_sent(
     name: str, value: float, duration_s: float, error: type[Exception], text: str
 ) -> None:
-    allowed, bus, _ = writer("core_*=22:26", "valve")
+    allowed, bus, _ = writer("core_*=22:26", "valve", "damper")
     with pytest.raises(error, match=text):
         allowed.write(MANIFEST, name, value, duration_s)
     assert bus.written == []
@@ -189,7 +191,7 @@ def test_writer__what_is_not_permitted_is_not_sent(
 def test_writer__range_is_within_the_actuators_own_bounds() -> None:
     allowed, bus, _ = writer("*=0:100")
     assert allowed.describe(MANIFEST.actuators[0]) == {"low": 15.0, "high": 30.0}
-    with pytest.raises(AccessDenied, match="40 is not from 15 to 30"):
+    with pytest.raises(AccessDenied, match="40.0 is not from 15 to 30"):
         allowed.write(MANIFEST, "core_cooling", 40.0, 60.0)
     assert bus.written == []
 

@@ -19,6 +19,7 @@ from zenostat.topics.errors import AccessDenied, ForkFailed, InvalidConfig, Requ
 from zenostat.topics.keys import own_name
 from zenostat.topics.messages import Actuator, Manifest
 from zenostat.topics.points import actuator_index, bounds, describe_bounds
+from zenostat.topics.units import with_unit
 
 HIGHEST_PRIORITY, LOWEST_PRIORITY = 9, 16
 """Range of priorities: below those of people (8)."""
@@ -180,7 +181,8 @@ class Writer:
     def _check(self, actuator: Actuator, value: float, duration_s: float) -> None:
         low, high = self._rule(actuator).limits(actuator)
         if not low <= value <= high:
-            raise AccessDenied(f"{actuator.name}: {value:g} is not from {low:g} to {high:g} {actuator.unit}")
+            permitted = with_unit(f"{low:g} to {high:g}", actuator.unit)
+            raise AccessDenied(f"{actuator.name}: {value!r} is not from {permitted}")
         longest_s = self.limits.max_duration_s
         if not 0 < duration_s <= longest_s:
             raise AccessDenied(f"a write lasts up to {longest_s / 60:g} simulated minutes, not {duration_s / 60:g}")
