@@ -105,8 +105,8 @@ def hvac_sources(manifest: Manifest) -> dict[str, EnergySource]:
 def generation_sources(manifest: Manifest) -> dict[str, EnergySource]:
     """Return the sources of what a building with generators produces, buys and sells, where the node measures it."""
     meters = _meters(manifest)
-    found = {name: meters.get(f"{meter}:Facility".casefold()) for name, meter in GENERATION.items()}
-    return {name: source for name, source in found.items() if source is not None}
+    sources = {name: meters.get(f"{meter}:Facility".casefold()) for name, meter in GENERATION.items()}
+    return {name: source for name, source in sources.items() if source is not None}
 
 
 def meter_name(meter: Meter) -> str:

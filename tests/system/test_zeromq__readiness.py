@@ -55,7 +55,7 @@ def test_sockets_older_than_the_gateway__receive_samples_and_answers(episode_bus
 
 
 def test_gateway__takes_no_requests_while_its_node_is_not_there(shared_node, gateway):
-    """What it had taken from its peers' queues would be lost with its sockets, which it binds after that."""
+    """Requests that it had taken from its peers' queues would be lost with its sockets, which it binds after that."""
     with zenostat.connect(shared_node.endpoint, affinity="off") as bus:
         for node, error in (("absent", NodeNotFound), ("office", AddressInUse)):
             with pytest.raises(error):
