@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.clock import Clock
 from support.control_room import Visitor, chromium
 
 from zenostat.bridge.transport import certificates
