@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.machine import OtherLoad
+from zenostat.bridge.runtime.processor_time import processor_s
 from zenostat.cli.boptest_cases import BundledTestCases
 from zenostat.gateways.boptest.prices import read_rates
 from zenostat.gateways.boptest.session import BuildingTest
@@ -84,19 +85,14 @@ def _command(test: BuildingTest) -> tuple[NDArray[np.float64], bytes]:
 
 def _burst(work: Callable[[], object], processes: tuple[psutil.Process, ...]) -> tuple[float, ...]:
     """Return the median of the durations, and the mean processor time of each process, in milliseconds."""
-    before = [_processor_s(process) for process in processes]
+    before = [processor_s(process) for process in processes]
     durations = []
     for _ in range(STEPS):
         start = time.perf_counter()
         work()
         durations.append((time.perf_counter() - start) * 1e3)
-    spent = [_processor_s(process) - start for process, start in zip(processes, before, strict=True)]
+    spent = [processor_s(process) - start for process, start in zip(processes, before, strict=True)]
     return statistics.median(durations), *(seconds * 1e3 / STEPS for seconds in spent)
-
-
-def _processor_s(process: psutil.Process) -> float:
-    times = process.cpu_times()
-    return float(times.user + times.system)
 
 
 def show(results: dict[str, Any], console: Console) -> None:

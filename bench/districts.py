@@ -13,7 +13,6 @@ import argparse
 import json
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
@@ -24,6 +23,7 @@ import psutil
 import zenostat
 from zenostat.bridge.client.local_node import LocalNode
 from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.bridge.runtime.processor_time import tree_processor_s
 
 HUB = '''
 class Hub:
@@ -102,15 +102,6 @@ def _processor_s(root: psutil.Process) -> tuple[dict[str, float], float]:
     return times, memory
 
 
-def _tree_s(root: psutil.Process) -> float:
-    """Return the processor time of a process and all its descendants so far, with those that have ended."""
-    total = 0.0
-    for process in (root, *root.children(recursive=True)):
-        with suppress(psutil.NoSuchProcess):
-            total += sum(process.cpu_times()[:4])  # user, system, and both of the children that have ended
-    return total
-
-
 def measure(buildings: int, steps: int, trials: int) -> Cost:
     """Simulate some steps of a district, and return their mean costs."""
     with TemporaryDirectory() as folder:
@@ -133,9 +124,9 @@ def measure(buildings: int, steps: int, trials: int) -> Cost:
                 wall_s = time.monotonic() - begin_s
                 after, memory = _processor_s(root)
                 _trial_s(link)  # the first one starts what the later ones use again
-                begin_s = _tree_s(root)
+                begin_s = tree_processor_s(root)
                 trials_s = [_trial_s(link) for _ in range(trials)]
-                trial_processor_s = (_tree_s(root) - begin_s) / trials
+                trial_processor_s = (tree_processor_s(root) - begin_s) / trials
         finally:
             node.close()
     ms = {name: 1e3 * (after[name] - before[name]) / steps for name in after}

@@ -17,6 +17,7 @@ import numpy as np
 import psutil
 
 from zenostat.agent_sdk.envs.fleet_env import FleetVectorEnv
+from zenostat.bridge.runtime.processor_time import processor_s
 from zenostat.topics import codec
 
 SCENARIO = {"building": "ref-small-office", "weather": "USA_CO_Denver", "begin": "07-01", "end": "07-31"}
@@ -35,12 +36,6 @@ def program(stack: ExitStack, *arguments: str) -> subprocess.Popen[str]:
     assert process.stdout is not None
     process.stdout.readline()
     return process
-
-
-def processor_s(process: psutil.Process) -> float:
-    """Return the processor time that a process has used."""
-    times = process.cpu_times()
-    return float(times.user + times.system)
 
 
 def measure(endpoints: list[str], names: list[str], router: psutil.Process | None, steps: int) -> dict[str, float]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import psutil
 
+from zenostat.bridge.runtime.processor_time import processor_s
+
 LOOK_S = 0.5
 """Interval of checks in seconds."""
 
@@ -25,16 +27,10 @@ class IdleWatch:
 
     def look(self, waited_s: float = LOOK_S) -> float:
         """Return for how many seconds the process has been idle; call it after each wait of `waited_s`."""
-        used_s = processor_s(self._pid)
+        try:
+            used_s = processor_s(psutil.Process(self._pid))
+        except psutil.Error:  # it has ended
+            used_s = 0.0
         self._idle_s = self._idle_s + waited_s if used_s == self._used_s else 0.0
         self._used_s = used_s
         return self._idle_s
-
-
-def processor_s(pid: int) -> float:
-    """Return the processor time that a process has used, in seconds; 0 if it has ended."""
-    try:
-        times = psutil.Process(pid).cpu_times()
-    except psutil.Error:
-        return 0.0
-    return float(times.user + times.system)

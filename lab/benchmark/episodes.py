@@ -14,6 +14,7 @@ from zenostat.agent_sdk.controllers.training_folder import is_training, read_tra
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.agent_sdk.rewards import read_reward
 from zenostat.bridge.client.sample import SampleView
+from zenostat.bridge.runtime.processor_time import tree_processor_s
 from zenostat.lab.benchmark.definition import (
     BASELINE,
     BASELINES,
@@ -26,7 +27,6 @@ from zenostat.lab.benchmark.definition import (
     is_prepared,
 )
 from zenostat.lab.benchmark.prepared import preparation_of, read_record
-from zenostat.lab.benchmark.processor_time import processor_s
 from zenostat.lab.benchmark.recipes import rule_of
 from zenostat.lab.benchmark.results_file import Row
 from zenostat.lab.benchmark.two_loop_pid import TwoLoopPID
@@ -126,12 +126,12 @@ def run_job(job: Job) -> tuple[list[Row], list[str]]:
 
 
 def _run_episode(job: Job, env: BuildingEnv, episode: Episode) -> Row:
-    begin = processor_s()
+    begin = tree_processor_s()
     agent = Agent(_controller(job, env.manifest, episode), env)
     agent.seed_episode(episode.seed)
     linear = LinearReward(env.manifest)
     result, _ = run_episode(env, lambda _: agent.action(env.sample), seed=episode.seed, recorder=linear)
-    return _row(episode, result, linear.total, processor_s() - begin)
+    return _row(episode, result, linear.total, tree_processor_s() - begin)
 
 
 def _controller(job: Job, manifest: Manifest, episode: Episode) -> Any:

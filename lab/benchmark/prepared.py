@@ -12,8 +12,8 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+from zenostat.bridge.runtime.processor_time import tree_processor_s
 from zenostat.lab.benchmark.definition import SETS, TUNED, Episode, digest_of
-from zenostat.lab.benchmark.processor_time import processor_s
 from zenostat.lab.benchmark.recipes import is_residual
 from zenostat.lab.benchmark.results import current_versions
 from zenostat.topics.atomic_file import atomic_file
@@ -235,11 +235,11 @@ def _tune(preparation: Preparation) -> None:
 @contextmanager
 def _measured(preparation: Preparation) -> Iterator[None]:
     """Add the processor time of what runs within to that of earlier attempts."""
-    begin = processor_s()
+    begin = tree_processor_s()
     try:
         yield
     finally:
-        total = (_measured_s(preparation) or 0.0) + processor_s() - begin
+        total = (_measured_s(preparation) or 0.0) + tree_processor_s() - begin
         with atomic_file(_times(preparation)) as temporary:
             temporary.write_text(json.dumps(total), encoding="utf-8")
 

@@ -18,13 +18,13 @@ from typer.testing import CliRunner
 
 from zenostat.agent_sdk.controllers.training_folder import FORMAT
 from zenostat.bridge.recording.file import file_digest
+from zenostat.bridge.runtime.processor_time import tree_processor_s
 from zenostat.cli.commands import app
 from zenostat.lab.benchmark import SETS, Episode, Results, Row, load_results, prepared, rerun, run, submission
 from zenostat.lab.benchmark.episodes import jobs
 from zenostat.lab.benchmark.figures import curve_of, write_curves
 from zenostat.lab.benchmark.merge import merge_results
 from zenostat.lab.benchmark.prepared import Preparation, ensure_prepared
-from zenostat.lab.benchmark.processor_time import processor_s
 from zenostat.lab.benchmark.recipes import is_residual
 from zenostat.lab.benchmark.results import changed_versions
 from zenostat.lab.benchmark.results_file import rows_digest, schema
@@ -105,12 +105,12 @@ def test_benchmark_files__processor_times_do_not_count(rows: list[Row], tmp_path
 
 def test_benchmark_files__processor_time_has_that_of_ended_and_running_children() -> None:
     work = "import time; end = time.process_time() + 0.3\nwhile time.process_time() < end: pass\n"
-    before = processor_s()
+    before = tree_processor_s()
     subprocess.run([sys.executable, "-c", work], check=True)
     with subprocess.Popen([sys.executable, "-c", work + "print(flush=True); input()"], stdin=-1, stdout=-1) as running:
         assert running.stdout is not None
         running.stdout.readline()
-        assert processor_s() - before >= 0.6
+        assert tree_processor_s() - before >= 0.6
         running.communicate(b"\n")
 
 
