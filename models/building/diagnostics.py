@@ -7,7 +7,7 @@ exist, and nodes that nothing else is connected to. EnergyPlus itself ends with 
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from functools import cache
@@ -32,7 +32,7 @@ from zenostat.models.building.source_lines import read_source
 from zenostat.models.building.template_references import is_template, traced_references
 from zenostat.models.input_format.source_model import ModelObjects, SourceModel
 from zenostat.topics.cache import cached_bytes, digest
-from zenostat.topics.errors import list_errors
+from zenostat.topics.errors import InvalidConfig, list_errors
 
 REQUIRED = ("Building", "GlobalGeometryRules")
 """Types of which EnergyPlus requires an object."""
@@ -239,3 +239,20 @@ def suspects(building: _Model) -> Iterator[str]:
     """Yield a line with the diagnostics of a model at which EnergyPlus has ended; they may be the reason."""
     if diagnostics := cached_diagnostics(building):
         yield describe(diagnostics, building.file or building.name, "also has")
+
+
+def check_meters(building: _Model, meters: Sequence[str]) -> None:
+    """Check that transformers follow meters of a model, at which EnergyPlus would crash otherwise.
+
+    Args:
+        building: the model.
+        meters: all that it has, by EnergyPlus's list.
+
+    Raises:
+        InvalidConfig: lists the others, with object, field and line.
+    """
+    if errors := [each for each in meter_findings(building.objects, meters) if each.is_fatal]:
+        source = read_source(Path(building.file)) if building.file else None
+        found = [Diagnostic(Severity.ERROR, each.kind, each.name, each.field, each.text) for each in errors]
+        file = building.file or building.name
+        raise InvalidConfig(describe([_located(each, source) for each in found], file, verdict()))

@@ -6,7 +6,7 @@ EnergyPlus crashes at such a name in a transformer, and takes the meter of a loa
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 from typing import Any
 
@@ -35,14 +35,20 @@ _METER = re.compile(
 """EnergyPlus's meters of electricity: by level or place, and by end use, also of a subcategory or at a place."""
 
 
-def meter_findings(objects: ModelObjects) -> Iterator[RuleFinding]:
-    """Yield an error for each meter of a transformer that is none, and a warning for each of a load center."""
+def meter_findings(objects: ModelObjects, meters: Sequence[str] | None = None) -> Iterator[RuleFinding]:
+    """Yield an error for each meter of a transformer that is none, and a warning for each of a load center.
+
+    Args:
+        objects: the model.
+        meters: all meters that the model has; without them, each name that a meter of electricity can have is taken.
+    """
     custom = [name for kind in _CUSTOM for name in objects.get(kind, {})]
-    known = {name.casefold() for name in custom}
+    names = [*custom, *_SUGGESTED] if meters is None else meters
+    known = {name.casefold() for name in (custom if meters is None else meters)}
     for kind, name, path, meter in _followed_meters(objects):
-        if meter and meter.casefold() not in known and not _METER.fullmatch(meter):
-            hint = did_you_mean(meter, [*custom, *_SUGGESTED])
-            text = f": {path} is {meter!r}, which is no meter of electricity; {hint}"
+        if meter and meter.casefold() not in known and not (meters is None and _METER.fullmatch(meter)):
+            text = f": {path} is {meter!r}, but the model has no meter of electricity of that name"
+            text = f"{text}; {did_you_mean(meter, names)}"
             yield finding(kind, name, FieldFinding(path, text, is_fatal=kind == _TRANSFORMER))
 
 

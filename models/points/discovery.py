@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from zenostat.models import energyplus
-from zenostat.models.building.diagnostics import suspects
+from zenostat.models.building.diagnostics import check_meters, suspects
 from zenostat.models.building.model import Building, check_runnable, for_episode, write
 from zenostat.models.building.run_needs import lacks_design_days
 from zenostat.models.building.source_lines import locator
@@ -106,7 +106,8 @@ def discover(building: Building, weather: Path) -> PointCatalog:
     """Return the points of `building`; cached. The weather file is needed only to start EnergyPlus.
 
     Raises:
-        InvalidConfig: the model does not match the schema, or runs other programs within the simulation.
+        InvalidConfig: the model does not match the schema, runs other programs within the simulation, or has a
+            transformer of a meter that it lacks.
         ModelError: EnergyPlus cannot start the model.
     """
     check_runnable(building)
@@ -125,7 +126,9 @@ def discover(building: Building, weather: Path) -> PointCatalog:
             raise ModelError("\n".join([str(error), *suspects(building)])) from None
 
     name = f"points/{digest(building.content, energyplus.version(), _FORMAT)}.json"
-    return _read(cached_bytes(name, make))
+    catalog = _read(cached_bytes(name, make))
+    check_meters(building, [meter.name for meter in catalog.meters if meter.index >= 0])
+    return catalog
 
 
 def _any_day(building: Building, header: Header) -> Period:

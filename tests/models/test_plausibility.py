@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from support.box_model import box_model, exit_code
 
-from zenostat.models.building.diagnostics import Severity, diagnose
+from zenostat.models.building.diagnostics import Severity, check_meters, diagnose
 from zenostat.models.building.model import Building, read_building
 from zenostat.models.building.nodes import unconnected_nodes
 from zenostat.models.catalog import find_building
@@ -151,11 +151,11 @@ CASES: dict[str, tuple[Callable[[Objects], object], Severity, str, str, str]] = 
     "meter of a transformer": (
         lambda model: model.update(transformer("Electricity:Facility", "InteriorLight:Electricity")),
         ERROR, "ElectricLoadCenter:Transformer", "meters[1].meter_name",
-        "is 'InteriorLight:Electricity', which is no meter of electricity; did you mean 'InteriorLights:Electricity'"),
+        "is 'InteriorLight:Electricity', but the model has no meter of electricity of that name; did you mean "),
     "meter of a load center": (
         lambda model: model.update(generator("Electricity:Facilty")),
         WARNING, "ElectricLoadCenter:Distribution", "generator_track_meter_scheme_meter_name",
-        "is 'Electricity:Facilty', which is no meter of electricity; did you mean 'Electricity:Facility'"),
+        "of electricity of that name; did you mean 'Electricity:Facility'"),
     "thickness in mm": (
         lambda model: model["Material"]["Concrete"].update(thickness=200.0),
         WARNING, "Material", "thickness", "thickness is 200 m; is it in mm?"),
@@ -299,6 +299,18 @@ def test_diagnose__branches_of_two_loops_are_one_error(case: str) -> None:
 @pytest.mark.parametrize("case", SHARED_BRANCHES)
 def test_diagnose__energyplus_ends_at_branches_of_two_loops(case: str, tmp_path: Path) -> None:
     assert exit_code(large_office(SHARED_BRANCHES[case][0]), tmp_path / "run") != 0
+
+
+def test_check_meters__transformer_of_an_end_use_that_the_model_lacks_is_an_error_with_its_line(tmp_path: Path) -> None:
+    model = box_model() | transformer("InteriorLights:Electricity", "ExteriorLights:Electricity")
+    path = tmp_path / "box.epJSON"
+    path.write_text(json.dumps(model, indent=1))
+    meters = ["Electricity:Facility", "InteriorLights:Electricity"]
+    line = 1 + next(i for i, text in enumerate(path.read_text().splitlines()) if "ExteriorLights" in text)
+    building = Building("box", model, "", file=str(path))
+    with pytest.raises(InvalidConfig, match=rf"line {line}: .*\[1\].meter_name is 'ExteriorLights:Electricity', but"):
+        check_meters(building, meters)
+    check_meters(building, [*meters, "EXTERIORLIGHTS:ELECTRICITY"])
 
 
 NODE_FIELDS = [
