@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-"""A model or a part of it: by type, the fields of each object by its name."""
-
 
 class FieldFinding(NamedTuple):
     """A finding on a field of a known object.

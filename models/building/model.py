@@ -36,8 +36,6 @@ from zenostat.topics.cache import cached_bytes, digest
 from zenostat.topics.calendar import format_month_day, is_month_day, parse_day
 from zenostat.topics.errors import InvalidConfig
 
-"""epJSON: object type, object name, fields."""
-
 
 @dataclass(frozen=True)
 class Building:

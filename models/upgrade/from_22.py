@@ -8,7 +8,7 @@ none of those pages. The step says which; a rule with another source has it besi
 from __future__ import annotations
 
 from zenostat.models.upgrade import equipment_rules
-from zenostat.models.upgrade.step import Renames, VersionStep
+from zenostat.models.upgrade.step import FUEL_FIELD, Renames, VersionStep
 
 _SPACES: Renames = (("zone_name", "zone_or_space_name"),)
 _PER_FLOOR_AREA: Renames = ((r"(watts|power)_per_zone_floor_area", r"\1_per_floor_area"),)
@@ -108,7 +108,7 @@ STEPS = (
             "HeatPump:PlantLoop:EIR:Cooling": {"reference_coefficient_of_performance": 7.5},
             "HeatPump:PlantLoop:EIR:Heating": {"reference_coefficient_of_performance": 7.5},
         },
-        words=((r".*", r"(.*_)?fuel_type|fuel_use_type|resource(_type)?|existing_fuel_resource_name", _DISTRICT),),
+        words=((r".*", FUEL_FIELD, _DISTRICT),),
         variables=(
             (r"(.+:)?DistrictHeating(:.+)?", r"\1DistrictHeatingWater\2"),
             (r"(.+:)?Steam(:.+)?", r"\1DistrictHeatingSteam\2"),

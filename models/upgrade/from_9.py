@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from zenostat.models.upgrade import air_terminal_rules, curve_rules, equipment_rules, simulation_rules
-from zenostat.models.upgrade.step import Renames, VersionStep
+from zenostat.models.upgrade.step import FUEL_FIELD, Renames, VersionStep
 from zenostat.models.upgrade.table_rules import lookup_tables
 
 _ZONE_OR_LIST: Renames = (("zone_name", "zone_or_zonelist_name"),)
@@ -12,7 +12,6 @@ _EQUIPMENT: tuple[str, Renames] = (
     "equipment",
     ((r"equipment_(\d+)_object_type", "equipment_object_type"), (r"equipment_(\d+)_name", "equipment_name")),
 )
-_FUEL_FIELD = r"(.*_)?fuel_type|fuel_use_type|resource(_type)?|existing_fuel_resource_name"
 _FUELS = {
     "Gas": "NaturalGas",
     "Natural Gas": "NaturalGas",
@@ -106,7 +105,7 @@ STEPS = (
         entries={"Controller:MechanicalVentilation": ("zone_specifications", _ZONE_OR_LIST)},
         defaults={"Building": {"minimum_number_of_warmup_days": 6}},
         words=(
-            (r".*", _FUEL_FIELD, _FUELS),
+            (r".*", FUEL_FIELD, _FUELS),
             (
                 "GlobalGeometryRules",
                 "starting_vertex_position",
@@ -179,7 +178,7 @@ STEPS = (
             "ZoneHVAC:HybridUnitaryHVAC": {"fan_heat_included_in_lookup_tables": "Yes"},
         },
         words=(
-            (r".*", _FUEL_FIELD, _FUELS),
+            (r".*", FUEL_FIELD, _FUELS),
             ("EnergyManagementSystem:Actuator", "actuated_component_control_type",
              {"Electric Power Level": "Electricity Rate", "Gas Power Level": "NaturalGas Rate"}),
             ("PerformancePrecisionTradeoffs", "override_mode", {"Mode05": "Mode06"}),

@@ -19,6 +19,9 @@ Renames = tuple[tuple[str, str], ...]
 _TYPE_FIELD = re.compile(r".*(object_type|component_type|terminal_object_type)(_\d+)?")
 """Fields that name an object's type."""
 
+FUEL_FIELD = r"(.*_)?fuel_type|fuel_use_type|resource(_type)?|existing_fuel_resource_name"
+"""Pattern of the fields that name a fuel or another resource."""
+
 
 @dataclass(frozen=True, slots=True)
 class Change:
