@@ -10,7 +10,8 @@ tank. Of other plants, such as buildings, only the consumption is known.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import fsum
 
@@ -24,7 +25,7 @@ from zenostat.topics.messages import Manifest, Meter, Task
 
 Floats = NDArray[np.float64]
 
-_AVAILABLE = ".available"
+_AVAILABLE = re.compile(r"plant\.([^.]+)\.available")
 _GRID = {"import", "export", "losses", "converged"}
 _HEAT = {"source_heat", "tank_charge", "tank_loss", "pipe_loss"}
 
@@ -63,15 +64,20 @@ class CarrierBalance:
 
 
 def connection_balances(trajectory: Trajectory) -> tuple[ConnectionBalance, ...]:
-    """Return the balances of a district's connections, means over its timesteps; none for other nodes."""
+    """Return the balances of a district's connections, means over its timesteps; none for other nodes.
+
+    Those of a nested district are among them, with its name before theirs.
+    """
     columns = {sensor.name: place for place, sensor in enumerate(trajectory.manifest.sensors)}
     balances = []
     for name, place in columns.items():
-        connection = name.removeprefix("exchange.")
-        terms = [term for term in TERMS if f"balance.{connection}.{term}" in columns]
-        if connection == name or "sent" not in terms:
+        nested, _, connection = f".{name}".partition(".exchange.")
+        district = f"{nested}.".removeprefix(".")
+        balance = f"{district}balance.{connection}"
+        terms = [term for term in TERMS if f"{balance}.{term}" in columns]
+        if "sent" not in terms:
             continue
-        places = [place, *(columns[f"balance.{connection}.{term}"] for term in terms)]
+        places = [place, *(columns[f"{balance}.{term}"] for term in terms)]
         rows = trajectory.fault_free_values[1:, places]
         is_missing = np.isnan(rows).any(axis=1)
         rows = rows[~is_missing]
@@ -83,23 +89,30 @@ def connection_balances(trajectory: Trajectory) -> tuple[ConnectionBalance, ...]
         unit = trajectory.manifest.sensors[place].unit
         missing = int(is_missing.sum())
         balances.append(
-            ConnectionBalance(connection, unit, received=received, greatest=greatest, missing_steps=missing, **by_term)
+            ConnectionBalance(
+                district + connection, unit, received=received, greatest=greatest, missing_steps=missing, **by_term
+            )
         )
     return tuple(balances)
 
 
 def plant_names(manifest: Manifest) -> tuple[str, ...]:
-    """Return the names of the plants of a district, in its order; none for other nodes."""
-    names = [sensor.name for sensor in manifest.sensors]
-    return tuple(
-        name.removeprefix("plant.").removesuffix(_AVAILABLE)
-        for name in names
-        if name.startswith("plant.") and name.endswith(_AVAILABLE)
-    )
+    """Return the names of the plants of a district, in its order; none for other nodes.
+
+    In place of a nested district are its plants, with its name before theirs: `houses.north`.
+    """
+    return tuple(_plants([sensor.name for sensor in manifest.sensors]))
+
+
+def _plants(sensors: Sequence[str]) -> Iterator[str]:
+    for match in filter(None, map(_AVAILABLE.fullmatch, sensors)):
+        plant, prefix = match[1], f"{match[1]}."
+        nested = [*_plants([name.removeprefix(prefix) for name in sensors if name.startswith(prefix)])]
+        yield from [f"{prefix}{name}" for name in nested] or [plant]
 
 
 def plant_trajectory(trajectory: Trajectory, plant: str) -> Trajectory:
-    """Return the columns of a plant of a district, with the names that its own node has.
+    """Return the columns of a plant of a district, or of a nested one, with the names that its own node has.
 
     It has no reward, and no actions of an agent: those are of the district.
     """

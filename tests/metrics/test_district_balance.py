@@ -141,6 +141,45 @@ def test_plant_trajectory__has_the_names_of_the_plants_own_node() -> None:
     assert (above.tolist(), below.tolist()) == ([1.0], [0.75])  # half an hour at 28 and at 18.5, of 20 to 26 degC
 
 
+def nested(run: Trajectory, district: str) -> Trajectory:
+    """The trajectory of a district with this one as its plant, beside another plant `shed`."""
+    points = {
+        kind: tuple(
+            point.model_copy(update={"name": f"{district}.{point.name}"}) for point in getattr(run.manifest, kind)
+        )
+        for kind in ("sensors", "meters")
+    }
+    own = tuple(Sensor(name=f"plant.{name}.available", unit="on_off") for name in (district, "shed"))
+    return replace(
+        run,
+        manifest=run.manifest.model_copy(update={**points, "sensors": (*own, *points["sensors"])}),
+        values=np.hstack([np.ones((len(run.values), 2)), run.values]),
+        fault_free_values=None,
+    )
+
+
+@pytest.mark.parametrize("path", [["in"], ["exchange"], ["in", "out"], ["plant", "out"]])
+def test_district_balances__of_a_nested_district_are_those_of_its_own_with_its_name(path: list[str]) -> None:
+    run = outer = district({"shop": SHOP, "grid": GRID}, {"shop.electricity_facility": [9e9, 5.4e6, 3.6e6, 0.0]})
+    for name in path:
+        outer = nested(outer, name)
+    prefix = "".join(f"{name}." for name in reversed(path))
+    sheds = ["".join(f"{name}." for name in reversed(path[place:])) + "shed" for place in range(1, len(path) + 1)]
+    assert plant_names(outer.manifest) == (f"{prefix}shop", f"{prefix}grid", *sheds)
+    own = [replace(balance, plant=prefix + balance.plant) for balance in district_balances(run)]
+    assert list(district_balances(outer)) == own
+    part, alone = plant_trajectory(outer, f"{prefix}shop"), plant_trajectory(run, "shop")
+    assert part.manifest.names == alone.manifest.names
+    assert part.values.tolist() == alone.values.tolist()
+
+
+def test_connection_balances__of_a_nested_district_are_those_of_its_own_with_its_name() -> None:
+    (balance,) = connection_balances(connected(CONNECTION))
+    assert connection_balances(nested(connected(CONNECTION), "in")) == (replace(balance, name="in.a.x-b.u"),)
+    of_exchange = {name.replace("a.x", "exchange.x"): column for name, column in CONNECTION.items()}
+    assert connection_balances(connected(of_exchange)) == (replace(balance, name="exchange.x-b.u"),)
+
+
 def test_district_section__has_balances_and_comfort_by_building() -> None:
     run = district({"shop": SHOP, "grid": GRID}, {"shop.electricity_facility": [0.0, 5.4e6, 3.6e6, 0.0]})
     text = district_section(Comparison((Run("rule", (), run),)))
