@@ -212,6 +212,7 @@ def _serve(config: NodeSettings, create: Callable[..., Node], *, is_endpoint_exp
         create = partial(create, observer=observer, program=True)
         running = start(stack, config, create, is_endpoint_explicit=is_endpoint_explicit, print_line=print_line)
         observer.recording = lambda: running.recording
+        observer.warning = lambda: running.namesake_warning
         bars.console.print(greeting(running, ", ".join(running.settings.listen or running.settings.connect)))
         exposed = exposure(running.settings.listen, config.keys)
         for warning in filter(None, (*running.manifest.warnings, exposed, running.certificate_warning)):
@@ -289,15 +290,19 @@ def start(
 
 
 class ProgressBar:
-    """Show a node's progress, at most ten times per second while it runs, and why its recording stopped early.
+    """Show a node's progress, at most ten times per second while it runs, and what its user has to know.
+
+    That is why its recording stopped early, and that another node has its name.
 
     Attributes:
         recording: returns the state of the node's recording.
+        warning: returns the warning about another node of the same name; empty without one.
     """
 
     def __init__(self, bars: Progress, name: str) -> None:
         self.recording: Callable[[], RecordingStatus | None] = lambda: None
-        self._stopped = ""
+        self.warning: Callable[[], str] = str
+        self._stopped = self._warned = ""
         self._bars = bars
         self._name = name
         self._bar = bars.add_task(f"{name}: starting", total=None, rate="")
@@ -314,6 +319,9 @@ class ProgressBar:
             self._bar, description=description, completed=node.exchange.step[0], total=node.manifest.steps
         )
         self._report_stopped_recording()
+        if (warning := self.warning()) != self._warned:
+            self._warned = warning
+            out.warning(warning)
 
     def _report_stopped_recording(self) -> None:
         status = self.recording()

@@ -18,7 +18,7 @@ from zenostat.bridge.node.branches import BranchManager
 from zenostat.bridge.node.episodes import EpisodeManager
 from zenostat.bridge.node.history import History
 from zenostat.bridge.node.manifest import node_manifest
-from zenostat.bridge.node.names import check_name_is_free, instances
+from zenostat.bridge.node.names import check_name_is_free, instances, watch_name
 from zenostat.bridge.node.plant import PlantContext, PlantFactory, SlotPlacement
 from zenostat.bridge.node.recording import RecordingManager
 from zenostat.bridge.node.server import NodeServer, Observer
@@ -54,6 +54,7 @@ class Node:
         plant: the plant.
         server: the node on the bus.
         branches: its snapshots and branches.
+        namesake_warning: the latest warning that another node of the same name is on the bus; empty if none was.
 
     Raises (on entering):
         UsageError, SimulatorError, BusError: see `zenostat.topics.errors`; everything that was started is closed.
@@ -75,6 +76,7 @@ class Node:
         timeout_s = SHUTDOWN_TIMEOUT_S + finish_s
         self._guard = ShutdownGuard(self._stop_waiting, self._end_process if program else None, timeout_s)
         self._has_server = False
+        self.namesake_warning = ""
         self._deny_list: DenyList | None = None
         self._resumption: Resumption | None = None
         self._close = ExitStack()
@@ -270,8 +272,20 @@ class Node:
         self.server.subscriptions.post(revoke)
 
     def _on_unreadable_deny_list(self, error: str) -> None:
-        text = f"{error}; the names that are revoked stay so until the node is started again"
+        self._warn(f"{error}; the names that are revoked stay so until the node is started again")
+
+    def _warn(self, text: str) -> None:
+        """Publish a warning; in any thread."""
         self.server.subscriptions.post(lambda: self.server.event(self.server.exchange.event(EventKind.WARNING, text)))
+
+    def _on_namesake(self, instance: str) -> None:
+        """Report another node of the same name; in any thread."""
+        self.namesake_warning = (
+            f"another node named {self.settings.name!r} (instance {instance}) is on this bus, besides this one "
+            f"(instance {self.instance}): subscribers receive the samples of both, and one of them answers a request; "
+            "stop one of them"
+        )
+        self._warn(self.namesake_warning)
 
     def _revoke(self, request: Revoke) -> Message:
         if self._deny_list is None:
@@ -330,6 +344,7 @@ class Node:
         if any(instance < self.instance for instance in instances(self.session, self.settings.name)):
             # Of two nodes that started at once, the lower id remains.
             check_name_is_free(self.session, self.settings.name)
+        self._close.callback(watch_name(self.session, settings.name, self._on_namesake).undeclare)
 
     # Run and stop
 

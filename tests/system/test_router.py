@@ -16,17 +16,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.events import events_of, next_event
 from support.nodes import SMALL, NodeProgram, free_port, node_on_bus, until
 from support.run_cli import ZENOSTAT, run_program
 
 import zenostat
 from zenostat.bridge.transport.certificates import add, make
-from zenostat.bridge.transport.session import open_session
+from zenostat.bridge.transport.session import Mode, open_session
 from zenostat.eplus_node.config import read_config
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import InvalidConfig, NameInUse
 from zenostat.topics.keys import Role
-from zenostat.topics.messages import Claim
+from zenostat.topics.messages import Claim, EventKind
 
 CONTROLLER = """
 import json, sys
@@ -332,3 +333,27 @@ def test_router__command_of_a_node_that_does_not_listen() -> None:
     both = run_program(*words, "--listen", "tcp/127.0.0.1:1")
     assert both.returncode == 2
     assert "use one of them" in both.stderr
+
+
+def test_router__nodes_of_one_name_report_each_other_once_their_buses_are_connected(scratch: Path) -> None:
+    """A second node may have started under the name while a link was down; the link then comes back."""
+    plant = "zenostat.agent_sdk.testing.fake_plant:FakePlant"
+    endpoints = [f"tcp/127.0.0.1:{free_port()}" for _ in range(2)]
+    with ExitStack() as stack:
+        events, instances = [], []
+        for number, endpoint in enumerate(endpoints):
+            stack.enter_context(open_session(listen=[endpoint], mode=Mode.ROUTER))
+            stack.enter_context(
+                NodeProgram(scratch / f"{number}", plant=plant, name="room", listen=[], connect=[endpoint])
+            )
+            bus = stack.enter_context(zenostat.connect(endpoint, affinity="off"))
+            events.append(stack.enter_context(events_of(bus, "room")))
+            instances.append(bus.manifest("room").instance)
+        stack.enter_context(open_session(connect=endpoints, mode=Mode.ROUTER))
+        for received, own, other in zip(events, instances, reversed(instances), strict=True):
+            warning = (
+                f"another node named 'room' (instance {other}) is on this bus, besides this one (instance {own}): "
+                "subscribers receive the samples of both, and one of them answers a request; stop one of them"
+            )
+            while next_event(received, EventKind.WARNING).text != warning:  # that of the other node
+                pass
