@@ -93,20 +93,22 @@ class Weather:
 
     def at(self, name: str, times_s: Floats) -> Floats:
         """Return a point's values at some times, linear between two rows; after the run period, those of a year ago."""
-        if name in self._index:
-            position = (wrapped(times_s) - self._begin_s) / self._interval_s
-            rows: Floats = np.interp(position, np.arange(self._table.shape[1]), self._table[self._index[name]])
-            return rows
-        return self._solar(times_s)[name]
+        return self._of_file(self._index[name], times_s) if name in self._index else self._solar(times_s)[name]
 
     def now(self, time_s: float) -> dict[str, float]:
         """Return all points at one time."""
-        position = min(max((time_s - self._begin_s) / self._interval_s, 0.0), self._table.shape[1] - 1.0)
-        row = min(int(position), self._table.shape[1] - 2)
-        share = position - row
-        values = self._table[:, row] * (1.0 - share) + self._table[:, row + 1] * share
-        solar = self._solar(np.array(time_s, np.float64))
-        return dict(zip(self._names, values.tolist(), strict=True)) | {k: float(v) for k, v in solar.items()}
+        time = np.array(time_s, np.float64)
+        values = self._of_file(slice(None), time).tolist()
+        return dict(zip(self._names, values, strict=True)) | {k: float(v) for k, v in self._solar(time).items()}
+
+    def _of_file(self, columns: int | slice, times_s: Floats) -> Floats:
+        """Return columns of the weather file at some times, or at one."""
+        last = self._table.shape[1] - 1
+        position = np.minimum(np.maximum((wrapped(times_s) - self._begin_s) / self._interval_s, 0.0), last)
+        row = np.minimum(position.astype(np.intp), last - 1)
+        before, after = self._table[columns, row], self._table[columns, row + 1]
+        values: Floats = before + (after - before) * (position - row)
+        return values
 
     def _solar(self, times_s: Floats) -> dict[str, Floats]:
         """Return the position of the sun.

@@ -120,6 +120,15 @@ def test_boptest_forecasts__data_after_the_run_period_are_those_of_its_second_ye
     assert max(ends) <= 2 * 8760 - 30 * 24 + 1
 
 
+def test_boptest_forecasts__weather_now_is_that_of_a_forecast_and_constant_where_two_rows_are_equal():
+    series = weather(dry_bulb_temperature=[10.1, 20.3, 20.3], relative_humidity=[33.0])
+    times_s = 777.0 * np.arange(40)
+    for name in ("TDryBul", "relHum", "solAlt"):
+        assert [series.now(time_s)[name] for time_s in times_s] == series.at(name, times_s).tolist()
+    assert {*series.at("relHum", times_s)} == {0.33}
+    assert {*series.at("TDryBul", np.arange(2.0, 3.1, 0.125) * 3600)} == {20.3 + 273.15}
+
+
 @pytest.mark.parametrize("seed", [0, 7])
 def test_boptest_forecasts__each_seed_is_repeatable_also_0(seed):
     points = {"TDryBul": "temperature_uncertainty", "HGloHor": "solar_uncertainty"}
