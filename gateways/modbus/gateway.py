@@ -108,11 +108,12 @@ class ModbusGateway:
 
     async def read_bits(self, table: Table, address: int, count: int) -> Sequence[bool]:
         """Return coils or discrete inputs; see `RegisterMap`."""
-        bits = self._discrete_inputs() if table is Table.DISCRETE_INPUT else None
-        size = len(self._actuators) if bits is None else len(bits)
-        _check_range(address, count, size)
-        if bits is None:
+        if table is Table.COIL:
+            _check_range(address, count, len(self._actuators))
             bits = [not math.isnan(value) for value in await self._commands()]
+        else:
+            bits = self._discrete_inputs()
+            _check_range(address, count, len(bits))
         return bits[address : address + count]
 
     def _discrete_inputs(self) -> list[bool]:
