@@ -17,11 +17,11 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TimeRemainingColumn
 from rich.text import Text
+from typing_extensions import override
 
 from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
 from zenostat.topics.errors import ZenostatError
 from zenostat.topics.printable import replace_controls, replace_controls_in_lines
-from zenostat.topics.typing_compat import override
 
 
 class _PlainConsole(Console):

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import gymnasium as gym
+from typing_extensions import override
 
 from zenostat.agent_sdk.controllers import (
     Agent,
@@ -41,7 +42,6 @@ from zenostat.topics.errors import InvalidAction, InvalidConfig, UsageError, did
 from zenostat.topics.keys import safe_name
 from zenostat.topics.printable import replace_controls
 from zenostat.topics.recording import SUFFIX
-from zenostat.topics.typing_compat import override
 
 if TYPE_CHECKING:
     from zenostat.views.report import Comparison

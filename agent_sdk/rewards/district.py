@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
+from typing_extensions import override
 
 from zenostat.agent_sdk.rewards.base import Begin, BoundReward, Terms
 from zenostat.agent_sdk.rewards.comfort_band import ComfortBand
@@ -20,7 +21,6 @@ from zenostat.agent_sdk.time_series import per_kwh
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.messages import Manifest
 from zenostat.topics.points import value_index
-from zenostat.topics.typing_compat import override
 
 Weight = Annotated[float, Field(ge=0.0)]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
+from typing_extensions import override
 
 from zenostat.agent_sdk.rewards.base import BoundReward
 from zenostat.agent_sdk.rewards.energy import EnergyReward
@@ -12,7 +13,6 @@ from zenostat.agent_sdk.rewards.energy_meter import EnergyMeter
 from zenostat.agent_sdk.rewards.terms import MeanPower, PricedEnergy, Term, TermSum
 from zenostat.agent_sdk.time_series import Number, Period, Price, TimeOfUse, TimeSeries, Unit, per_kwh
 from zenostat.topics.messages import Manifest
-from zenostat.topics.typing_compat import override
 
 
 class EnergyCostReward(EnergyReward):

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Literal
 
+from typing_extensions import override
+
 from zenostat.agent_sdk.rewards.base import BoundReward
 from zenostat.agent_sdk.rewards.linear import WeightedReward
 from zenostat.agent_sdk.rewards.terms import ExponentialDegrees, TermSum
 from zenostat.topics.messages import Manifest
-from zenostat.topics.typing_compat import override
 
 
 class ExponentialReward(WeightedReward):

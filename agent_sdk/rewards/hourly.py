@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
+from typing_extensions import override
 
 from zenostat.agent_sdk.rewards.base import Begin, BoundReward
 from zenostat.agent_sdk.rewards.linear import WeightedReward
@@ -15,7 +16,6 @@ from zenostat.agent_sdk.rewards.terms import Term, TermSum
 from zenostat.agent_sdk.time_series import Hours
 from zenostat.topics.calendar import in_hours
 from zenostat.topics.messages import Manifest
-from zenostat.topics.typing_compat import override
 
 
 class HourlyReward(WeightedReward):

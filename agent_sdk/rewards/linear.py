@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from pydantic import Field
+from typing_extensions import override
 
 from zenostat.agent_sdk.rewards.base import BoundReward
 from zenostat.agent_sdk.rewards.comfort_band import ComfortBand
@@ -12,7 +13,6 @@ from zenostat.agent_sdk.rewards.config import Names
 from zenostat.agent_sdk.rewards.selectors import powers
 from zenostat.agent_sdk.rewards.terms import Power, Quantity, Term, TermSum
 from zenostat.topics.messages import Manifest
-from zenostat.topics.typing_compat import override
 
 
 class WeightedReward(ComfortBand):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from pydantic import Field, field_validator
+from typing_extensions import override
 
 from zenostat.agent_sdk.rewards.base import BoundReward
 from zenostat.agent_sdk.rewards.config import Names, RewardConfig
@@ -13,7 +14,6 @@ from zenostat.agent_sdk.rewards.terms import Power, SetpointDegrees, Term, TermS
 from zenostat.topics.energyplus_names import COOLING_SETPOINT_VARIABLE, HEATING_SETPOINT_VARIABLE, ZONE_TEMPERATURES
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Manifest
-from zenostat.topics.typing_compat import override
 
 
 class MultiZoneReward(RewardConfig):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from pydantic import Field
+from typing_extensions import override
 
 from zenostat.agent_sdk.rewards.base import BoundReward
 from zenostat.agent_sdk.rewards.comfort_band import ComfortBand
@@ -14,7 +15,6 @@ from zenostat.agent_sdk.rewards.terms import DegreesOutside, OccupiedDegrees, Te
 from zenostat.topics.energyplus_names import OCCUPANTS
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Manifest
-from zenostat.topics.typing_compat import override
 
 PEOPLE = OCCUPANTS
 _UNITS = ("1", "count", "fraction")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from pydantic import Field, model_validator
+from typing_extensions import override
 
 from zenostat.agent_sdk.rewards.base import BoundReward
 from zenostat.agent_sdk.rewards.config import Names
@@ -16,7 +17,6 @@ from zenostat.agent_sdk.rewards.slot_state import SlotState
 from zenostat.agent_sdk.rewards.terms import PeakIncrease, Term, TermSum
 from zenostat.agent_sdk.time_series import Price, currency
 from zenostat.topics.messages import Manifest
-from zenostat.topics.typing_compat import override
 
 GAS_METERS = ("NaturalGas:Facility", "HVAC:NaturalGas", "NaturalGas:HVAC")
 

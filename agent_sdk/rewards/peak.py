@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Literal
 
 from pydantic import Field
+from typing_extensions import override
 
 from zenostat.agent_sdk.rewards.base import BoundReward
 from zenostat.agent_sdk.rewards.energy import EnergyReward
 from zenostat.agent_sdk.rewards.slot_state import SlotState
 from zenostat.agent_sdk.rewards.terms import MeanPower, PeakIncrease, Term, TermSum
 from zenostat.topics.messages import Manifest
-from zenostat.topics.typing_compat import override
 
 
 class PeakReward(EnergyReward):

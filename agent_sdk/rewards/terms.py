@@ -9,13 +9,13 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from zenostat.agent_sdk.rewards.base import Begin, BoundReward, Outcome, Terms
 from zenostat.agent_sdk.rewards.energy_meter import EnergyMeter
 from zenostat.agent_sdk.rewards.seasons import Seasons
 from zenostat.agent_sdk.rewards.selectors import Indices, sum_at
 from zenostat.agent_sdk.rewards.slot_state import SlotState
-from zenostat.topics.typing_compat import override
 
 Band = tuple[float, float]
 """Lowest and highest comfortable air temperature, degC, both inclusive."""

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from typing_extensions import override
 
 from zenostat.agent_sdk.rewards.base import Begin, BoundReward
 from zenostat.agent_sdk.rewards.comfort_band import Seasonal
@@ -18,7 +19,6 @@ from zenostat.agent_sdk.rewards.terms import ExcessVotes, Power, Term, TermSum, 
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import install_command
 from zenostat.topics.messages import Manifest
-from zenostat.topics.typing_compat import override
 
 PMV, PPD = "Zone Thermal Comfort Fanger Model PMV", "Zone Thermal Comfort Fanger Model PPD"
 RADIANT, HUMIDITY = "Zone Mean Radiant Temperature", "Zone Air Relative Humidity"

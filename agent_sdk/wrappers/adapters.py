@@ -17,6 +17,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 from gymnasium.wrappers.utils import create_zero_array
 from numpy.typing import ArrayLike, NDArray
+from typing_extensions import override
 
 from zenostat.agent_sdk.envs.episode_state import ContextProgram
 from zenostat.agent_sdk.envs.snapshot import Snapshot
@@ -31,7 +32,6 @@ from zenostat.agent_sdk.wrappers.names import (
     unknown_arguments,
 )
 from zenostat.topics.errors import InvalidConfig
-from zenostat.topics.typing_compat import override
 
 if TYPE_CHECKING:
     _VectorWrapper = VectorWrapper[Any, Any, Any, Any, Any]

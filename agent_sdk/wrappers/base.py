@@ -10,12 +10,12 @@ import numpy as np
 from gymnasium.spaces import Box, Space
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from zenostat.agent_sdk.envs.episode_state import ContextProgram
 from zenostat.agent_sdk.wrappers import names
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Manifest
-from zenostat.topics.typing_compat import override
 
 Values = NDArray[Any]
 """An array with one row per slot."""

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box, Discrete
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
 from zenostat.agent_sdk.wrappers.base import EnvView, ResetBatch, Values, WrapperLogic
 from zenostat.agent_sdk.wrappers.gymnasium_wrappers import Trait, wrappers_with
 from zenostat.agent_sdk.wrappers.names import indices_of, reject_wrappers
 from zenostat.topics.errors import InvalidAction, InvalidConfig
-from zenostat.topics.typing_compat import override
 
 Floats = NDArray[np.float64]
 NOT_IN_UNITS = (*wrappers_with(Trait.ACTION_UNITS), "IncrementalAction", "DiscreteIncrementalAction")

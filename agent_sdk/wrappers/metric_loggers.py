@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from typing_extensions import override
 
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
 from zenostat.agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic
 from zenostat.agent_sdk.wrappers.names import reject_wrappers, require_each_timestep
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import import_extra
-from zenostat.topics.typing_compat import override
 
 
 class _Means:

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
 from zenostat.agent_sdk.wrappers.base import WrapperLogic
-from zenostat.topics.typing_compat import override
 
 
 class _Logic(WrapperLogic):

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from zenostat.agent_sdk.controllers.agent import Agent
 from zenostat.agent_sdk.controllers.fixed import FixedSetpoints
@@ -23,7 +24,6 @@ from zenostat.agent_sdk.wrappers.incremental import NOT_IN_UNITS
 from zenostat.agent_sdk.wrappers.names import reject_wrappers
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import InvalidAction, InvalidConfig, UnknownName, did_you_mean
-from zenostat.topics.typing_compat import override
 
 RULES: dict[str, Any] = {
     "fixed": FixedSetpoints,

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
+from typing_extensions import override
+
 from zenostat.topics.extras import import_extra
-from zenostat.topics.typing_compat import override
 
 Cell = str | int | float | None
 

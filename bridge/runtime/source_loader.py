@@ -12,7 +12,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from zenostat.topics.typing_compat import override
+from typing_extensions import override
 
 
 class _SourceLoader(SourceFileLoader):

@@ -6,11 +6,11 @@ from collections import Counter
 from typing import Annotated, Any, ClassVar
 
 from pydantic import Field
+from typing_extensions import override
 
 from zenostat.agent_sdk.semantic import SemanticGraph
 from zenostat.topics.errors import RequestRejected, UnknownName, did_you_mean
 from zenostat.topics.semantic import BRICK
-from zenostat.topics.typing_compat import override
 from zenostat.views.mcp.content import Content
 from zenostat.views.mcp.desk import Desk
 from zenostat.views.mcp.tool import Node, Tool

@@ -9,6 +9,7 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from pydantic import Field
+from typing_extensions import override
 
 from zenostat.bridge.client.sample import SampleView
 from zenostat.metrics.episode_metrics import MetricsAccumulator
@@ -18,7 +19,6 @@ from zenostat.topics.errors import RequestRejected
 from zenostat.topics.keys import safe_name
 from zenostat.topics.messages import Sample
 from zenostat.topics.points import actuator_index, value_index
-from zenostat.topics.typing_compat import override
 from zenostat.views.mcp.content import Content
 from zenostat.views.mcp.desk import Desk
 from zenostat.views.mcp.reading import require_points

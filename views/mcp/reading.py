@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
+from typing_extensions import override
 
 from zenostat.agent_sdk.semantic import PATTERNS
 from zenostat.bridge.client.history import History
@@ -14,7 +15,6 @@ from zenostat.metrics.labels import words
 from zenostat.topics.errors import NodeLost, NodeNotFound, RequestRejected, ZenostatError
 from zenostat.topics.messages import AlarmState
 from zenostat.topics.points import PointIndex
-from zenostat.topics.typing_compat import override
 from zenostat.views.mcp.content import Content
 from zenostat.views.mcp.desk import Desk
 from zenostat.views.mcp.picture import draw_history

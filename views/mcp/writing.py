@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Annotated, ClassVar
 
 from pydantic import Field
+from typing_extensions import override
 
 from zenostat.topics.errors import AccessDenied
-from zenostat.topics.typing_compat import override
 from zenostat.views.mcp.content import Content
 from zenostat.views.mcp.desk import Desk
 from zenostat.views.mcp.tool import Node, Point, Tool

@@ -7,10 +7,10 @@ from itertools import zip_longest
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from zenostat.metrics.comfort import Comfort
 from zenostat.metrics.roles import ZoneRoles
-from zenostat.topics.typing_compat import override
 from zenostat.views.display.colors import zone_color
 from zenostat.views.rendering import artists
 from zenostat.views.rendering.data import Floats, Window, finite

@@ -7,6 +7,7 @@ from pathlib import PurePosixPath
 from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from typing_extensions import override
 
 from zenostat.bridge.client.bus import Bus
 from zenostat.topics import codec
@@ -15,7 +16,6 @@ from zenostat.topics.fault_plan import FaultPlan
 from zenostat.topics.messages import Mode, Reset
 from zenostat.topics.messages.base import Seed
 from zenostat.topics.plurals import counted
-from zenostat.topics.typing_compat import override
 
 Alarm = Annotated[str, Field(min_length=1, max_length=300)]
 Comment = Annotated[str, Field(max_length=500)]
