@@ -9,6 +9,7 @@ from typing import Any
 from zenostat.bridge.alarms.rules import point_alarms, read_rules
 from zenostat.bridge.faults import read_plan
 from zenostat.bridge.node.fault_injection import FaultInjection
+from zenostat.bridge.node.manifest import described_manifest
 from zenostat.bridge.node.node import Node
 from zenostat.bridge.node.plant import PlantContext, PlantDescription, PlantFactory, Provenance
 from zenostat.bridge.node.server import Observer
@@ -111,7 +112,7 @@ class DistrictNode(Node):
         if self._check_reward is None or description.task.reward is None:
             return
         try:
-            self._check_reward(_manifest(self.settings, description))
+            self._check_reward(described_manifest(self.settings, description))
         except InvalidConfig as error:
             errors = self._file.errors()
             for line in str(error).splitlines():
@@ -129,27 +130,6 @@ class DistrictNode(Node):
         """End the nodes of the plants, and leave the bus; idempotent."""
         super().close()
         self._plants.close()
-
-
-def _manifest(settings: NodeSettings, description: PlantDescription) -> Manifest:
-    """Return what the node will publish, as far as a reward depends on it."""
-    period = description.run_period
-    return Manifest(
-        node=settings.name,
-        instance="",
-        building=description.name,
-        begin=period.begin.isoformat(),
-        end=period.end.isoformat(),
-        step_s=period.step_s,
-        steps=period.steps,
-        mode=settings.mode,
-        policy=settings.policy,
-        sensors=description.sensors,
-        meters=description.meters,
-        actuators=description.actuators,
-        task=description.task,
-        versions=description.versions,
-    )
 
 
 def district_node(

@@ -9,6 +9,7 @@ from pathlib import Path
 from zenostat.bridge.alarms.rules import point_alarms, read_rules
 from zenostat.bridge.faults import read_plan
 from zenostat.bridge.node.fault_injection import FaultInjection
+from zenostat.bridge.node.manifest import described_manifest
 from zenostat.bridge.node.plant import PlantDescription, Provenance, RunPeriod
 from zenostat.eplus_node.config import NodeConfig, scenario_of
 from zenostat.models import catalog, energyplus
@@ -165,24 +166,17 @@ def _manifest(
     config: NodeConfig, model: Building, source: WeatherSource, period: Period, points: Points, task: Task
 ) -> Manifest:
     """Return what a node of this plan would publish, as far as an agent's part depends on it."""
-    return Manifest(
-        node=config.name,
-        instance="",
-        building=model.name,
-        latitude_deg=source.header.latitude_deg,
-        longitude_deg=source.header.longitude_deg,
-        begin=period.time(0).isoformat(),
-        end=period.time(period.steps).isoformat(),
-        step_s=period.step_s,
-        steps=period.steps,
-        mode=config.mode,
-        policy=config.policy,
+    description = PlantDescription(
+        name=model.name,
+        run_period=RunPeriod(period.time(0), period.step_s, period.steps),
         sensors=points.sensors,
         meters=points.meters,
         actuators=points.actuators,
-        task=task,
         versions=Versions(zenostat=VERSION, energyplus=energyplus.version()),
+        task=task,
     )
+    header = source.header
+    return described_manifest(config, description, latitude_deg=header.latitude_deg, longitude_deg=header.longitude_deg)
 
 
 def describe(plan: Plan) -> PlantDescription:

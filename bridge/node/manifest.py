@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from zenostat.bridge.node.history import History
-from zenostat.bridge.node.plant import Plant, RunningPlant, Site
+from zenostat.bridge.node.plant import Plant, PlantDescription, RunningPlant, Site
 from zenostat.bridge.node.settings import NodeSettings
 from zenostat.bridge.runtime import affinity
 from zenostat.topics.messages import Geometry, Manifest
@@ -23,7 +23,29 @@ def node_manifest(
         instance: the id of its Zenoh session.
         cpu: the core on which it runs; None if it is not placed.
     """
-    description = plant.description
+    return described_manifest(
+        settings,
+        plant.description,
+        instance=instance,
+        history_samples=history.samples if history is not None else 0,
+        history_bytes=history.size_bytes if history is not None else 0,
+        host=affinity.host(),
+        cpu=cpu,
+        **site_fields(plant.site(0)),
+    )
+
+
+def described_manifest(
+    settings: NodeSettings, description: PlantDescription, *, instance: str = "", **fields: Any
+) -> Manifest:
+    """Return the manifest of a node as far as its settings and its plant's description determine it.
+
+    Args:
+        settings: of the node.
+        description: of its plant.
+        instance: the id of its Zenoh session.
+        fields: further fields of the manifest.
+    """
     run_period = description.run_period
     return Manifest(
         node=settings.name,
@@ -31,7 +53,6 @@ def node_manifest(
         building=description.name,
         zones=description.zones,
         floor_area_m2=description.floor_area_m2,
-        **site_fields(plant.site(0)),
         begin=run_period.begin.isoformat(),
         end=run_period.end.isoformat(),
         step_s=run_period.step_s,
@@ -43,16 +64,13 @@ def node_manifest(
         policy=settings.policy,
         grace_s=settings.grace_s,
         deadline_s=settings.deadline_s,
-        history_samples=history.samples if history is not None else 0,
-        history_bytes=history.size_bytes if history is not None else 0,
         sensors=description.sensors,
         meters=description.meters,
         actuators=description.actuators,
         task=settings.task(description.task),
         warnings=description.warnings,
         versions=description.versions,
-        host=affinity.host(),
-        cpu=cpu,
+        **fields,
     )
 
 
