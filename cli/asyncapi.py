@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.atomic_file import check_writable
 
 
 def asyncapi(
@@ -25,6 +25,5 @@ def asyncapi(
     if output is None:
         sys.stdout.write(text)
         return
-    if not output.absolute().parent.is_dir():
-        raise InvalidConfig(f"cannot write {output.name}: there is no folder {output.absolute().parent}")
+    check_writable(output, f"--output {output}")
     output.write_text(text, encoding="utf-8")

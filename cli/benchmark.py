@@ -12,6 +12,7 @@ from zenostat.cli.console import err, out, progress
 from zenostat.cli.name_lists import end_with_failures, names_in, numbers_in
 from zenostat.cli.options import is_explicit
 from zenostat.cli.tables import show, show_json
+from zenostat.topics.atomic_file import check_writable
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import import_extra
 
@@ -189,8 +190,7 @@ def _run(
 def _merge(files: Sequence[Path], target: Path) -> Results:
     from zenostat.lab.benchmark.merge import merge_results
 
-    if not target.absolute().parent.is_dir():
-        raise InvalidConfig(f"--out {target}: there is no folder {target.absolute().parent}")
+    check_writable(target, f"--out {target}")
     results = merge_results([*files, *([target] if target.exists() and target not in files else [])])
     results.save(target)
     return results
@@ -258,8 +258,7 @@ def _report(errors: Sequence[str], success: str) -> None:
 def _check_page(page: Path) -> None:
     if page.suffix != ".md":
         raise InvalidConfig(f"--page {page}: expected a .md file")
-    if not page.absolute().parent.is_dir():
-        raise InvalidConfig(f"--page {page}: there is no folder {page.absolute().parent}")
+    check_writable(page, f"--page {page}")
     import_extra("matplotlib", "plots", "a page with figures")
 
 

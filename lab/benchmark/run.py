@@ -25,6 +25,7 @@ from zenostat.lab.benchmark.recipes import FORMS
 from zenostat.lab.benchmark.results import Results, changed_versions, load_results
 from zenostat.lab.benchmark.selection import Selection
 from zenostat.lab.workers import Progress, RunAll, worker_pool
+from zenostat.topics.atomic_file import check_writable
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 from zenostat.topics.extras import import_extra
 from zenostat.topics.file_lock import locked
@@ -79,8 +80,7 @@ def run_benchmark(
     if selection is not None:
         selection.check(episodes, f"the set {set_name!r}")
         episodes = [episode for episode in episodes if selection.has(episode)]
-    if not path.absolute().parent.is_dir():
-        raise InvalidConfig(f"--out {path}: there is no folder {path.absolute().parent}")
+    check_writable(path, f"--out {path}")
     lock = path.with_name(f".{path.name}.lock")
     with locked(lock, f"{path}: another process is writing results there; choose another --out"):
         results = _open(path, set_name, dict(hashes or {}), files)

@@ -354,6 +354,9 @@ def test_benchmark__command_shows_results_and_names_what_is_missing(saved: Path)
     assert "--out, --check, --show and --submit-check" in str(missing.exception)
     page = CliRunner().invoke(app, ["benchmark", "--show", str(saved), "--page", "x.html"])
     assert "expected a .md file" in str(page.exception)
+    (saved.parent / "page.md").mkdir()
+    folder = CliRunner().invoke(app, ["benchmark", "--show", str(saved), "--page", str(saved.parent / "page.md")])
+    assert "page.md: expected a file, but this is a folder" in str(folder.exception)
 
 
 def test_benchmark__check_runs_the_selected_rows_and_prints_its_progress_without_a_terminal(
