@@ -65,7 +65,10 @@ class TrialController(BaseModel):
         if self.name not in offered:
             raise UnknownName(f"controller: there is no {self.name!r}; {did_you_mean(self.name, offered)}")
         factory = offered[self.name]
-        values = check_values(factory, self.parameters)
+        try:
+            values = check_values(factory, self.parameters)
+        except InvalidConfig as error:
+            raise InvalidConfig(f"controller {self.name}: {error}") from None
 
         def create(manifest: Manifest) -> ControllerProtocol:
             with self.described_errors():

@@ -25,8 +25,9 @@ from zenostat.bridge.client.command_publisher import CommandArrays
 from zenostat.bridge.client.controller_link import ControllerLink, open_link
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics import codec, keys
-from zenostat.topics.errors import BadMessage, InvalidConfig, RequestRejected, ZenostatError
+from zenostat.topics.errors import BadMessage, InvalidAction, InvalidConfig, RequestRejected, ZenostatError
 from zenostat.topics.messages import Ack, CommandOp, CreateBranch, Manifest, Sample, SimulatePlan, Write
+from zenostat.topics.points import actuator_index, contains, describe_violation
 from zenostat.views.room.description import MAX_FUTURE_STEPS, NodeDescription, longest_future_h
 from zenostat.views.room.numbers import number, numbers
 from zenostat.views.room.trial_controllers import BUNDLED, Factory, TrialController, semantic_model
@@ -138,7 +139,8 @@ def simulate_futures(
 
     Raises:
         InvalidConfig: the hours are shorter than a timestep, or too many.
-        RequestRejected: the node cannot branch now, or rejects a value.
+        UnknownName, InvalidAction: a value of an actuator that does not exist, or beyond its bounds.
+        RequestRejected: the node cannot branch now.
         ForkFailed: the system cannot fork the simulation.
         BadMessage: the node named a node that is none of its branches.
     """
@@ -153,6 +155,8 @@ def simulate_futures(
             f"hours: at most {longest_future_h(manifest.step_s):g} h expected, {MAX_FUTURE_STEPS} timesteps of "
             f"{manifest.step_s:g} s"
         )
+    for future in futures.values():
+        _check_values(manifest, future.values)
     with ExitStack() as stack:
         owner = bus.sender(f"{operator}-what-if")
         # Its end ends the branches, even if this program is killed.
@@ -178,6 +182,16 @@ def simulate_futures(
     if not steps:
         raise RequestRejected("the episode is over")
     return {name: each[:steps] for name, each in samples.items()}
+
+
+def _check_values(manifest: Manifest, values: Mapping[str, float | None]) -> None:
+    """Raise the error of an unknown actuator, or of a value beyond the bounds, before anything is simulated."""
+    index = actuator_index(manifest.actuators)
+    index.require(values)
+    for name, value in values.items():
+        actuator = manifest.actuators[index[name]]
+        if value is not None and not contains(actuator, value):
+            raise InvalidAction(describe_violation(actuator, value))
 
 
 def _end(end: Any, *arguments: str) -> None:
