@@ -104,6 +104,15 @@ def test_dashboards__each_prometheus_query_selects_series_that_are_exported(clie
 
 @pytest.mark.slow
 @pytest.mark.process
+def test_metrics__have_each_state_of_alarms_at_all_times(client: httpx.Client) -> None:
+    """A series that vanishes keeps its last value in Prometheus for minutes; `warm` is the only alarm."""
+    states = dict(re.findall(r'zenostat_node_alarms\{node="room",state="(\w+)"\} (\d+)', client.get("/metrics").text))
+    inactive = ("acknowledged", "returned", "suppressed", "shelved", "out_of_service")
+    assert states == {"active": "1", **dict.fromkeys(inactive, "0")}
+
+
+@pytest.mark.slow
+@pytest.mark.process
 def test_dashboards__legends_have_labels_of_their_series(client: httpx.Client) -> None:
     text = client.get("/metrics").text
     for panel in panels("grafana-prometheus.json"):

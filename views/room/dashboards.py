@@ -10,6 +10,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from zenostat.topics.errors import InvalidConfig, UsageError, ZenostatError
+from zenostat.topics.messages import AlarmState
 from zenostat.views.room.bus_watch import BusWatch
 from zenostat.views.room.node_watch import NodeWatch
 from zenostat.views.room.numbers import numbers
@@ -80,8 +81,8 @@ def _node_metrics(node: NodeWatch) -> Iterator[_Metric]:
         "memory_bytes": state["memory_bytes"],
     }
     yield from ((prefix + name, {}, value) for name, value in simple.items())
-    counts = {name: count for name, count in entry["alarms"].items() if name != "open"}
-    yield from ((f"{prefix}alarms", {"state": name}, count) for name, count in counts.items())
+    states = (name for name in AlarmState if name != AlarmState.NORMAL)
+    yield from ((f"{prefix}alarms", {"state": str(name)}, entry["alarms"].get(name, 0)) for name in states)
     yield from ((f"{prefix}commands_total", {"outcome": name}, count) for name, count in state["counts"].items())
     for statistic in ("median", "p99", "max"):
         yield f"{prefix}step_milliseconds", {"statistic": statistic}, state["step_time"][f"{statistic}_ms"]
