@@ -73,6 +73,7 @@ def client(node: NodeProgram) -> Iterator[httpx.Client]:
                 break
             sample.send({"temperature": 21.0})
         until(lambda: 'zenostat_node_step{node="room"} 10' in started.get("/metrics").text, "it is polled")
+        until(lambda: "zenostat_node_speed_ratio" in started.get("/metrics").text, "it has waited for a while")
         yield started
 
 

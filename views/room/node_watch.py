@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import NodeLost, NodeNotFound, RequestRejected, ZenostatError
-from zenostat.topics.messages import Event, EventKind, Geometry, Manifest, State, Systems
+from zenostat.topics.messages import Event, EventKind, Geometry, Manifest, Mode, State, Systems
 from zenostat.topics.points import value_index
 from zenostat.views.room.description import NodeDescription, describe
 from zenostat.views.room.numbers import to_json
@@ -144,10 +144,9 @@ class NodeWatch:
                 self._is_stale = False
                 self._describe()
             assert self.description is not None
-            status = self._bus.status(self.node)
+            manifest, status = self.description.manifest, self._bus.status(self.node)
             try:
                 latest = self._bus.latest(self.node)
-                manifest = self.description.manifest
                 sample = SampleView(latest, manifest, value_index(manifest))
             except RequestRejected:  # there is none yet
                 sample = None
@@ -155,7 +154,9 @@ class NodeWatch:
             self.state = node_state(self.description, status, sample, alarms, faults)
             self.problem, self.has_ended = "", False
             is_stopped = status.state in _END_STATES or (status.paused and not status.steps_left)
-            self._step_rate.add(time.monotonic(), status.episode[0], status.step[0], is_stopped=is_stopped)
+            pace_s = manifest.step_s / status.speed if status.mode is Mode.PACED else 0.0
+            episode, step = status.episode[0], status.step[0]
+            self._step_rate.add(time.monotonic(), episode, step, is_stopped=is_stopped, pace_s=pace_s)
         except (NodeLost, NodeNotFound):
             is_replay = self.description is not None and self.description.manifest.replay
             self.has_ended = self.has_ended or self._is_stopped or is_replay

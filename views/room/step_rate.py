@@ -13,11 +13,11 @@ _STALLED = 2.0
 class StepRate:
     """Simulated seconds per second, measured between changes of the step, whatever the distance between two polls."""
 
-    __slots__ = ("_at", "_changes", "_is_stopped")
+    __slots__ = ("_at", "_begin_s", "_changes", "_is_stopped", "_pace_s")
 
     def __init__(self) -> None:
         self._at: tuple[int, int] | None = None
-        self._is_stopped = False
+        self._is_stopped, self._begin_s, self._pace_s = False, 0.0, 0.0
         self._changes: deque[tuple[float, int]] = deque()
 
     def clear(self) -> None:
@@ -25,18 +25,28 @@ class StepRate:
         self._at, self._is_stopped = None, False
         self._changes.clear()
 
-    def add(self, now_s: float, episode: int, step: int, *, is_stopped: bool = False) -> None:
-        """Add a poll: `episode` and `step` of the node at `now_s` of a monotonic clock; `is_stopped`: it is paused."""
+    def add(self, now_s: float, episode: int, step: int, *, is_stopped: bool = False, pace_s: float = 0.0) -> None:
+        """Add a poll.
+
+        Args:
+            now_s: time of a monotonic clock.
+            episode: number of the node's episode.
+            step: its step.
+            is_stopped: whether it is paused, or its episode is over.
+            pace_s: time that its pace gives a timestep, in s; 0 if it is not paced.
+        """
         before, self._at = self._at, (episode, step)
-        self._is_stopped = is_stopped
+        self._is_stopped, self._pace_s = is_stopped, pace_s
+        if before is None or is_stopped:
+            self._begin_s = now_s
         if is_stopped:
             self._changes.clear()
             return
         if before is None or before == self._at:
             return
         changes = self._changes
-        if episode != before[0] or step < before[1] or self._has_stalled(now_s):
-            changes.clear()
+        if episode != before[0] or step < before[1] or (len(changes) > 1 and self._has_stalled(now_s)):
+            changes.clear()  # a single change stays: of an unpaced node, the time of a timestep is not known yet
         changes.append((now_s, step))
         while len(changes) > 2 and now_s - changes[1][0] >= WINDOW_S:
             changes.popleft()
@@ -56,7 +66,10 @@ class StepRate:
         return (last - first) * step_s / (end_s - begin_s)
 
     def _has_stalled(self, now_s: float) -> bool:
-        if len(self._changes) < 2:
+        if self._at is None:
             return False
-        (begin_s, first), (end_s, last) = self._changes[0], self._changes[-1]
-        return now_s - end_s > max(WINDOW_S, _STALLED * (end_s - begin_s) / (last - first))
+        changes = self._changes
+        end_s, duration_s = changes[-1][0] if changes else self._begin_s, self._pace_s
+        if len(changes) > 1:
+            duration_s = (end_s - changes[0][0]) / (changes[-1][1] - changes[0][1])
+        return now_s - end_s > max(WINDOW_S, _STALLED * duration_s)
