@@ -431,6 +431,9 @@ class Connection:
     def snapshot(self, node: str, controller: str = "") -> SnapshotTaken:
         """Take a snapshot of a node, to return to with a `Reset`; the node drops it when `controller` disconnects.
 
+        That is also after 10 s if `controller` is on the bus by no liveliness token. Without a name, on a bus without
+        keys, the snapshot is kept until somebody drops it.
+
         Raises:
             RequestRejected: No episode is running, or the node has its maximum of snapshots and branches.
             ForkFailed: The system cannot fork the engine.
@@ -443,6 +446,8 @@ class Connection:
 
     def branch(self, node: str, branch: CreateBranch) -> str:
         """Create a branch of a node and return the branch's name; a branch is a node like any other.
+
+        Its `controller` owns it as that of `snapshot` does.
 
         Raises:
             RequestRejected, ForkFailed: As for `snapshot`; a branch cannot have branches.

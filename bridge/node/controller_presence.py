@@ -12,7 +12,7 @@ from zenostat.bridge.runtime.timer import Timer
 from zenostat.topics import keys
 
 _TOKEN_S = 10.0
-"""Wall time within which the liveliness token of a controller with a claim has to be there, in s."""
+"""Wall time within which the liveliness token of a controller with a claim or a copy has to be there, in s."""
 
 
 class ControllerPresence:

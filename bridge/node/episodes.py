@@ -14,6 +14,7 @@ from zenostat.bridge.node.server import NodeServer, Stopped
 from zenostat.topics import keys
 from zenostat.topics.errors import RequestRejected, ZenostatError
 from zenostat.topics.messages import (
+    ANONYMOUS,
     MAX_SEEDS,
     Ack,
     BranchCreated,
@@ -203,10 +204,16 @@ class EpisodeManager:
 
     def _snapshot(self, request: TakeSnapshot) -> Message:
         snapshot = self._branches.snapshot(request)
+        self._expect(request.controller)
         self._recordings.snapshot(snapshot.name, snapshot.episode, snapshot.step)
         text = f"snapshot {snapshot.name} at step {snapshot.step[0]}"
         self._server.event(self._exchange.event(EventKind.SNAPSHOT, text, request.controller))
         return SnapshotTaken(snapshot=snapshot.name, episode=snapshot.episode, step=snapshot.step)
+
+    def _expect(self, owner: str) -> None:
+        """End the copies of an owner whose end nothing would tell; those without a named owner stay."""
+        if owner != ANONYMOUS:
+            self._server.subscriptions.expect_presence(owner, self._server.timer)
 
     def _drop(self, request: DropSnapshot) -> Message:
         access, owner = self._server.access, self._branches.find(request.snapshot).owner
@@ -219,6 +226,7 @@ class EpisodeManager:
 
     def _branch(self, request: CreateBranch) -> Message:
         branch = self._branches.branch(request)
+        self._expect(request.controller)
         self._server.event(self._exchange.event(EventKind.BRANCH_CREATED, f"branch {branch.name}", request.controller))
         return BranchCreated(node=branch.name)
 

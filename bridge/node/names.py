@@ -24,9 +24,7 @@ def check_name_is_free(session: zenoh.Session, name: str) -> None:
         raise NameInUse(f"a node named {name!r} is on this bus already (instance {others[0]}); choose another name")
 
 
-def watch_name(
-    session: zenoh.Session, name: str, on_namesake: Callable[[str], None]
-) -> zenoh.LivelinessSubscriber[None]:
+def watch_name(session: zenoh.Session, name: str, on_namesake: Callable[[str], None]) -> zenoh.Subscriber[None]:
     """Follow the nodes of a name from now on: two parts of a bus, each with one of them, may be connected later.
 
     Args:

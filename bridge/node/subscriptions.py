@@ -383,7 +383,7 @@ class Subscriptions:
         self._close.callback(self._presence.close)
 
     def expect_presence(self, controller: str, timer: Timer) -> None:
-        """Take a controller with a claim for disconnected if it has no token; see `ControllerPresence.expect`."""
+        """Take a controller with a claim or a copy for disconnected without a token; see `ControllerPresence.expect`."""
         if self._presence is not None:
             self._presence.expect(controller, timer)
 

@@ -169,7 +169,7 @@ class Player:
             return
         if self.snapshot:
             self.bus.drop(self.node, self.snapshot)
-        self.snapshot = self.bus.snapshot(self.node, "main").snapshot
+        self.snapshot = self.bus.snapshot(self.node, self.main.name).snapshot
 
     def _restore(self) -> None:
         if self.snapshot:

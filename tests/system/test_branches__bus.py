@@ -124,6 +124,19 @@ def test_branch_without_an_owner__ends_with_its_parent(node: NodeProgram) -> Non
             hold.receive()
 
 
+@pytest.mark.slow
+def test_branches_and_snapshots__end_if_their_owner_has_no_token(bus: Bus) -> None:
+    with bus.controller("office") as link:
+        link.reset()
+        kept = [bus.snapshot("office", owner).snapshot for owner in ("", link.name)]
+        bus.snapshot("office", "ghost")
+        branch = bus.branch("office", CreateBranch(controller="ghost"))
+        assert [owned.owner for owned in bus.status("office").snapshots] == ["anonymous", link.name, "ghost"]
+        until(lambda: branch not in bus.nodes(), "its branch has ended")
+        assert [owned.name for owned in bus.status("office").snapshots] == kept
+    bus.drop("office", kept[0])
+
+
 def test_branches_and_snapshots__end_with_their_owner(bus: Bus) -> None:
     with bus.controller("office") as link:
         link.reset()

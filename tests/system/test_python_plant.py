@@ -546,7 +546,7 @@ def test_python_plant__node_serves_a_plant_as_any_other(scratch: Path, tank: Pat
         bus.controller("tank", name="first") as link,
     ):
         link.reset(seed=1)
-        branch = bus.branch("tank", CreateBranch(controller="first", slot=1))
+        branch = bus.branch("tank", CreateBranch(controller=link.name, slot=1))
         assert bus.latest(branch).values == bus.latest("tank").values[24:]
         bus.write("tank", "heater", 500.0, priority=5, source="person", duration_s=86400.0)
         link.send()
