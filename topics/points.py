@@ -91,9 +91,16 @@ def describe_bounds(point: BoundedPoint) -> str:
 
 
 def describe_violation(point: BoundedPoint, value: object) -> str:
-    """Describe a value that a point cannot have: `heating = 40; its bounds are 15 to 22.5 degC`."""
-    number = f"{value:g}" if isinstance(value, Real) else repr(value)
-    return f"{point.name} = {number}; its bounds are {describe_bounds(point)}"
+    """Describe a value that a point cannot have: `heating = 40; its bounds are 15 to 22.5 degC`.
+
+    A value that differs from a bound after its first six digits has all digits, as have the bounds then.
+    """
+    low, high = bounds(point)
+    number, described = f"{value:g}" if isinstance(value, Real) else repr(value), describe_bounds(point)
+    if isinstance(value, Real) and number in (f"{low:g}", f"{high:g}"):
+        number, first, last = (repr(float(each)).removesuffix(".0") for each in (value, low, high))
+        described = with_unit(f"{first} to {last}", point.unit)
+    return f"{point.name} = {number}; its bounds are {described}"
 
 
 class PointIndex(dict[str, int]):

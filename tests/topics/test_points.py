@@ -118,6 +118,18 @@ def test_describe_violation__has_name_value_and_bounds(value: object, text: str)
     assert describe_violation(point(15.0, 22.5), value) == f"heating = {text}; its bounds are 15 to 22.5 degC"
 
 
+@pytest.mark.parametrize(
+    ("bounded", "value", "text"),
+    [
+        (point(15.0, 22.5), 22.5000001, "22.5000001; its bounds are 15 to 22.5 degC"),
+        (point(22.5, 30.0), np.nextafter(30.0, 31.0), "30.000000000000004; its bounds are 22.5 to 30 degC"),
+        (point(15.0, 22.1234567), 22.1235, "22.1235; its bounds are 15 to 22.1234567 degC"),
+    ],
+)
+def test_describe_violation__shows_how_a_value_differs_from_a_bound(bounded: Action, value: float, text: str) -> None:
+    assert describe_violation(bounded, value) == f"heating = {text}"
+
+
 @given(NAMES)
 def test_point_index__has_the_position_of_each_name(names: list[str]) -> None:
     index = PointIndex(names, "sensor")
