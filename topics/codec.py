@@ -61,6 +61,7 @@ MAX_ITEMS = {
 _MAX_ERRORS = 10
 _RULES = {
     **dict.fromkeys(("tuple_type", "list_type"), "a list expected"),
+    "bytes_type": "bytes expected",
     **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "a mapping expected"),
 }
 """Rules whose text by pydantic names classes of Python."""

@@ -231,6 +231,18 @@ def test_codec__number_that_is_not_finite_is_refused_by_its_path(where: str, bad
     assert str(bad) in message
 
 
+@pytest.mark.parametrize("bad", [-1, 1.5, True, "1", [0, -1], [[0]], {}])
+def test_codec__wrong_seed_is_one_error_without_names_of_types(bad: object) -> None:
+    message = refused(Reset, msgpack.packb({"seed": bad}))
+    expected = "an integer from 0 to 2**64 - 1 expected, or a list with one or None for each slot"
+    assert message == f"Reset: seed: {expected}, got {bad!r}"
+
+
+def test_codec__bytes_are_named_so() -> None:
+    fields = {"episode": [0], "step": [0], "values": "text"}
+    assert refused(Command, msgpack.packb(fields)) == "Command: values: bytes expected, got 'text'"
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_codec__number_that_is_not_finite_is_refused_in_free_options_too(bad: float) -> None:
     refused(Reset, msgpack.packb({"seed": bad}))

@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, GetCoreSchemaHandler
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+)
 from pydantic_core import CoreSchema
 from pydantic_core.core_schema import no_info_after_validator_function
 
@@ -39,6 +48,18 @@ Scalar = Annotated[str, Field(strict=True)] | Annotated[bool, Field(strict=True)
 MAX_SEEDS = 2**64
 """Number of seeds: 0 to 2**64 - 1."""
 Seed = Annotated[int, Field(ge=0, lt=MAX_SEEDS, strict=True)]
+
+
+def _one_error(seeds: Any, validate: ValidatorFunctionWrapHandler) -> Any:
+    """Validate seeds with one error, in place of one for each of their types, which names classes."""
+    try:
+        return validate(seeds)
+    except ValidationError:
+        raise ValueError("an integer from 0 to 2**64 - 1 expected, or a list with one or None for each slot") from None
+
+
+Seeds = Annotated[Seed | list[Seed | None] | None, WrapValidator(_one_error)]
+"""A seed for all slots of a request, or a list with one or None for each; None draws them."""
 
 _REPLACING = (replace_controls, replace_controls_in_lines)
 _NO_SCHEMAS = ("metadata", "serialization", "config", "default", "expected", "members")

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from zenostat.topics.messages.base import Count, Finite, Lines, Message, Priority, Raw, SafeName, Seed, SourceName
+from zenostat.topics.messages.base import Count, Finite, Lines, Message, Priority, Raw, SafeName, Seeds, SourceName
 from zenostat.topics.messages.enums import EngineStart, Mode
 
 
@@ -27,7 +27,7 @@ class Reset(Message):
     """
 
     controller: SourceName = ""
-    seed: Seed | list[Seed | None] | None = None
+    seed: Seeds = None
     slots: Annotated[list[Count], Field(min_length=1)] | None = None
     snapshot: str = ""
 
