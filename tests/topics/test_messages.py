@@ -85,8 +85,9 @@ def test_messages__write_lasts_some_time_or_for_good(seconds: float) -> None:
 
 @pytest.mark.parametrize("name", ["", "a/b", "*", "a b", "@a", "-a", "a\n", "ä", "a" * 129])
 def test_messages__what_cannot_stand_in_a_key_is_no_name(name: str) -> None:
-    with pytest.raises(ValidationError):
-        Claim(controller=name)
+    if name:  # a message without its sender has the one in its key
+        with pytest.raises(ValidationError):
+            Claim(controller=name)
     with pytest.raises(ValidationError):
         sensor(name, key="k")
 

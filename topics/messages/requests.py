@@ -13,7 +13,7 @@ from zenostat.topics.messages.enums import EngineStart, Mode
 class Claim(Message):
     """Claim a priority of some actuators (None: all). In lockstep, the node waits for required controllers."""
 
-    controller: SafeName
+    controller: SourceName = ""
     priority: Priority = 10
     actuators: list[str] | None = None
     required: bool = True
@@ -86,7 +86,7 @@ class SimulatePlan(Message):
     commands are those of the controller, which has the only required claim.
     """
 
-    controller: SafeName
+    controller: SourceName = ""
     episode: list[Count]
     step: list[Count]
     timesteps: Annotated[int, Field(ge=1, le=2000, strict=True)]
