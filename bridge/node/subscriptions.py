@@ -122,6 +122,10 @@ def _reject() -> Message:
     raise RequestRejected(f"the node has {MAX_PENDING} pending requests, or {MAX_LARGE} large ones; try again later")
 
 
+def _refuse_wildcard() -> Message:
+    raise BadMessage("the key of the query has a wildcard in place of a name, and this request has one sender")
+
+
 def _refuse_large(payload: bytes, _: str) -> bytes:
     raise BadMessage(f"{len(payload)} bytes; this query has fewer than {LARGE_BYTES}")
 
@@ -383,7 +387,7 @@ class Subscriptions:
         self._close.callback(self._presence.close)
 
     def expect_presence(self, controller: str, timer: Timer) -> None:
-        """Take a controller with a claim or a copy for disconnected without a token; see `ControllerPresence.expect`."""
+        """Take a controller with a claim or a copy for disconnected if it has no token; see `ControllerPresence`."""
         if self._presence is not None:
             self._presence.expect(controller, timer)
 
@@ -498,6 +502,9 @@ class Subscriptions:
         def on_query(query: zenoh.Query) -> None:
             request = Request(query, topic, self)
             size = len(request.payload)
+            if topic.has_sender and "*" in request.sender + request.name:  # as of a program that reads all keys
+                request.answer(_refuse_wildcard, is_recorded=False)
+                return
             if not waiting.admit(size):
                 request.answer(_reject, is_recorded=False)  # in another thread
                 return

@@ -8,7 +8,7 @@ import msgpack
 import pytest
 import zenoh
 from support.nodes import until
-from zenoh.handlers import RingChannel
+from zenoh.handlers import FifoChannel, RingChannel
 
 import zenostat
 from zenostat.topics import codec, keys
@@ -176,6 +176,21 @@ def test_bus__request_without_a_payload_has_no_fields(episode_bus: zenostat.Bus,
         codec.decode(topic.reply, reply.ok.payload.to_bytes(), str(reply.ok.encoding))
     else:
         assert expected in codec.decode(ErrorReply, reply.ok.payload.to_bytes()).message
+
+
+def test_bus__query_of_all_keys_is_no_message_of_a_sender(episode_bus: zenostat.Bus) -> None:
+    """Programs that show what is on a bus read all keys of a node; nothing of that is an event or counts."""
+    bus = episode_bus
+    before = bus.status("office").rejected
+    with bus.session.declare_subscriber(keys.EVENT.at("office"), FifoChannel(1000)) as events:
+        replies = [*bus.session.get(f"{keys.root('office')}/**", target=zenoh.QueryTarget.ALL, timeout=60)]
+        assert keys.MANIFEST.at("office") in {str(reply.ok.key_expr) for reply in replies if reply.ok}
+        (refused,) = bus.session.get(keys.WRITE_REQUEST.at("office", sender="*", name=POINT), timeout=60)
+        assert "wildcard" in codec.decode(ErrorReply, refused.ok.payload.to_bytes()).message
+        assert bus.status("office").rejected == before
+        bus.write("office", POINT, None, source="panel")
+        sent = until(events.try_recv, "the event of the write")
+        assert codec.decode(Event, sent.payload.to_bytes()).source == "panel"
 
 
 BIG = msgpack.packb({"memory": b"\0" * (codec.MAX_BYTES + 1)})
