@@ -58,7 +58,10 @@ def tune(
             count = f"[{tuning.ended()}/{tuning.total()}] " if bars.disable else ""
             out.print(f"{count}{_line(trial)}")
 
-        tuning = Tuning(config, show_trial)
+        def show_wait() -> None:
+            out.print("waiting for trials that run elsewhere, or were lost with their machine or command", markup=False)
+
+        tuning = Tuning(config, show_trial, show_wait)
         bars.update(bar, completed=tuning.ended(), total=tuning.total())
         if bars.disable:
             out.print(f"{config.study}: {tuning.ended()} of {tuning.total()} trials have ended")

@@ -20,6 +20,7 @@ from zenostat.bridge.runtime.processes import end_processes
 from zenostat.lab.tuning.search_space import DEFAULT, ask, decode, encode
 from zenostat.lab.tuning.study_config import StudyConfig, starting_point
 from zenostat.lab.tuning.study_storage import (
+    GRACE_S,
     HEARTBEAT_S,
     database_errors,
     make_pruner,
@@ -58,7 +59,7 @@ OnTrial = Callable[[FrozenTrial], None]
 
 def reason_of(trial: FrozenTrial) -> str:
     """Return why a trial failed or was pruned; empty for one that did neither."""
-    is_lost = trial.state is TrialState.FAIL  # by `fail_stale_trials`, which gives no reason
+    is_lost = trial.state is TrialState.FAIL  # without a reason, as `_fail_lost` does
     return str(trial.user_attrs.get(_REASON, "the machine that ran it was lost" if is_lost else ""))
 
 
@@ -127,20 +128,24 @@ class Tuning:
 
     Args:
         config: the study.
-        on_trial: called with each trial that has ended here.
+        on_trial: called with each trial that has ended here, or that a lost machine had.
+        on_wait: called when no trial is left to start, but others run elsewhere; see `run`.
 
     Raises:
         InvalidConfig: see `open_study` and `StudyConfig.check`.
     """
 
-    def __init__(self, config: StudyConfig, on_trial: OnTrial | None = None) -> None:
-        self._config, self._on_trial = config, on_trial
+    def __init__(
+        self, config: StudyConfig, on_trial: OnTrial | None = None, on_wait: Callable[[], None] | None = None
+    ) -> None:
+        self._config, self._on_trial, self._on_wait = config, on_trial, on_wait
         config.check()
         optuna.logging.set_verbosity(optuna.logging.WARNING)
         self.study = open_study(config)
         self._workers: list[_Worker] = []
         self._idle: list[tuple[subprocess.Popen[bytes], Path]] = []
         self._beat = 0.0
+        self._waits_since: float | None = None
         self._invalid: list[optuna.Trial] | None = []
 
     @property
@@ -150,6 +155,9 @@ class Tuning:
 
     def run(self, stop: threading.Event | None = None) -> bool:
         """Run trials until the study has its number of trials; return whether it has.
+
+        While others run elsewhere, it waits for as long as it takes to see that their machines were lost, or their
+        commands killed. Those that are lost fail, and are repeated as far as `retries` allows.
 
         Args:
             stop: when it is set, the running trials are ended and queued again, and this returns.
@@ -182,7 +190,17 @@ class Tuning:
             self._finish(worker)
         while len(self._workers) < self._config.workers and self._is_open():
             self._start()
-        return not self._workers and not self._is_open()
+        return not self._workers and not self._is_open() and not self._waits_for_others()
+
+    def _waits_for_others(self) -> bool:
+        """Whether trials that run elsewhere may still prove to be lost."""
+        if not any(trial.state is TrialState.RUNNING for trial in self.study.get_trials(deepcopy=False)):
+            return False
+        if self._waits_since is None:
+            self._waits_since = time.monotonic()
+            if self._on_wait is not None:
+                self._on_wait()
+        return time.monotonic() - self._waits_since < GRACE_S + HEARTBEAT_S
 
     def _interrupt(self) -> None:
         """End the running trials, and queue them again, after the first ones if all of these were invalid."""
@@ -212,6 +230,8 @@ class Tuning:
     def _start(self) -> None:
         config = self._config
         trial = ask(self.study, config.parameters)
+        self._record_heartbeat(trial)  # a trial without any would never be seen to be lost
+        self._waits_since = None
         folder = (config.folder / "trials" / f"{trial.number:04d}").absolute()
         try:
             fields = config.trial_fields(decode(config.parameters, trial.params), folder)
@@ -292,7 +312,7 @@ class Tuning:
         if not interrupted:
             self._check_first_trials(worker.trial, reason)
 
-    def _queue_again(self, trial: optuna.Trial, *, interrupted: bool) -> None:
+    def _queue_again(self, trial: optuna.Trial | FrozenTrial, *, interrupted: bool) -> None:
         """Queue a trial that repeats another one, with its values."""
         attributes = {name: True for name in (DEFAULT,) if name in trial.user_attrs}
         attributes |= {_INTERRUPTED: True} if interrupted else {}
@@ -308,7 +328,7 @@ class Tuning:
             if len(self._invalid) >= min(_INVALID_TRIALS, self._config.trials or 1):
                 raise InvalidConfig(f"no trial of the study can be run: {reason}")
 
-    def _may_retry(self, trial: optuna.Trial) -> bool:
+    def _may_retry(self, trial: optuna.Trial | FrozenTrial) -> bool:
         of = trial.user_attrs.get(RETRY_OF, trial.number)
         retries: int = sum(
             other.user_attrs.get(RETRY_OF) == of and _INTERRUPTED not in other.user_attrs
@@ -321,10 +341,27 @@ class Tuning:
         if time.monotonic() - self._beat < HEARTBEAT_S:
             return
         self._beat = time.monotonic()
-        storage: Any = self.study._storage  # noqa: SLF001  # Optuna's own `optimize` does the same
         for worker in self._workers:
-            getattr(storage, "_backend", storage).record_heartbeat(worker.trial._trial_id)  # noqa: SLF001
-        optuna.storages.fail_stale_trials(self.study)
+            self._record_heartbeat(worker.trial)
+        self._fail_lost()
+
+    def _record_heartbeat(self, trial: optuna.Trial) -> None:
+        storage: Any = self.study._storage  # noqa: SLF001  # Optuna's own `optimize` does the same
+        getattr(storage, "_backend", storage).record_heartbeat(trial._trial_id)  # noqa: SLF001
+
+    def _fail_lost(self) -> None:
+        """Fail the trials of lost machines, as `optuna.storages.fail_stale_trials`, and queue them again."""
+        storage: Any = self.study._storage  # noqa: SLF001
+        for trial_id in storage._get_stale_trial_ids(self.study._study_id):  # noqa: SLF001
+            trial = storage.get_trial(trial_id)
+            try:
+                storage.set_trial_state_values(trial_id, state=TrialState.FAIL)
+            except optuna.exceptions.UpdateFinishedTrialError:  # another machine did
+                continue
+            if self._may_retry(trial):
+                self._queue_again(trial, interrupted=False)
+            if self._on_trial is not None:
+                self._on_trial(self.study.trials[trial.number])
 
     def _end_processes(self) -> None:
         """End the processes of the trials; their nodes end with them."""

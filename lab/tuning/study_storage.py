@@ -17,7 +17,7 @@ with requires_extra("tune", "tuning", "Optuna"):
     import sqlalchemy
 
 
-HEARTBEAT_S, _GRACE_S = 30, 120
+HEARTBEAT_S, GRACE_S = 30, 120
 _POSTGRESQL = {"connect_timeout": 10, "keepalives_idle": 10, "keepalives_interval": 5, "keepalives_count": 3,
                "tcp_user_timeout": 30_000}  # fmt: skip
 """Time limits of libpq, without which a connection to a machine that has disappeared waits for many minutes."""
@@ -67,7 +67,7 @@ def open_storage(url: str) -> Any:
         limits = {name: limit for name, limit in limits.items() if name not in options}
         engine = {"connect_args": limits, "pool_pre_ping": not is_sqlite}
         return optuna.storages.RDBStorage(
-            url, engine_kwargs=engine, heartbeat_interval=HEARTBEAT_S, grace_period=_GRACE_S
+            url, engine_kwargs=engine, heartbeat_interval=HEARTBEAT_S, grace_period=GRACE_S
         )
 
 

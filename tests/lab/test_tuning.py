@@ -1,7 +1,11 @@
 """Studies: search spaces, studies that exist, lost databases, and the processes of trials."""
 
 import re
+import sqlite3
+import subprocess
+import sys
 import threading
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -163,6 +167,48 @@ def test_tuning__first_trials_that_are_all_invalid_are_queued_again(tmp_path: Pa
         assert [trial.system_attrs["fixed_params"]["slots"] for trial in waiting] == [400, 401, 402]
         assert [trial.user_attrs["retry_of"] for trial in waiting] == [0, 1, 2]
         assert tuning.ended() == 0
+
+
+def instant_process(folder: Path) -> tuple[Any, Path]:
+    """Start a process that ends the trial of a folder at once."""
+    code = 'import pathlib, sys; pathlib.Path(sys.argv[1]).write_text(\'{"state": "complete", "value": 1.0}\')'
+    return subprocess.Popen([sys.executable, "-c", code, str(folder / "result.json")]), folder / "log.txt"
+
+
+def tuning_with_instant_trials(*arguments: Any) -> Tuning:
+    tuning = Tuning(*arguments)
+    tuning._process = instant_process  # type: ignore[method-assign]
+    return tuning
+
+
+@pytest.mark.filterwarnings("ignore:Heartbeat of storage")
+@pytest.mark.parametrize("retries", [0, 1])
+def test_tuning__trial_of_a_command_that_was_killed_is_lost_and_repeated(tmp_path: Path, retries: int) -> None:
+    killed = tuning_with_instant_trials(study(tmp_path, retries=retries))
+    killed._start()  # and is never heard of again
+    killed._workers[0].process.wait()
+    with closing(sqlite3.connect(tmp_path / "study.db")) as database, database:
+        assert database.execute("update trial_heartbeats set heartbeat = datetime('now', '-121 seconds')").rowcount == 1
+    ended: list[Any] = []
+    tuning = tuning_with_instant_trials(study(tmp_path, retries=retries), ended.append)
+    assert tuning.run()
+    states = [trial.state.name for trial in tuning.study.trials]
+    assert states == ["FAIL", *["COMPLETE"] * (2 + retries)]
+    lost, *others = tuning.study.trials
+    assert reason_of(lost) == "the machine that ran it was lost"
+    assert [trial.number for trial in ended] == list(range(3 + retries))
+    assert [trial.params for trial in others if "retry_of" in trial.user_attrs] == [lost.params] * retries
+    assert tuning.ended() == 3
+
+
+@pytest.mark.filterwarnings("ignore:Heartbeat of storage")
+def test_tuning__waits_for_trials_that_run_elsewhere(tmp_path: Path) -> None:
+    other, stop = tuning_with_instant_trials(study(tmp_path, trials=1)), threading.Event()
+    other._start()
+    assert not Tuning(study(tmp_path, trials=1), None, stop.set).run(stop)
+    other._workers[0].process.wait()
+    assert other.run()
+    assert Tuning(study(tmp_path, trials=1)).run()
 
 
 def test_tuning__database_that_is_not_there_is_one_sentence_without_its_password(tmp_path: Path) -> None:
