@@ -117,6 +117,21 @@ def test_recording__only_complete_episodes_are_compared_with_the_parallel_baseli
 
 
 @pytest.mark.slow
+def test_recording__warnings_name_the_slots(scratch: Path) -> None:
+    path = scratch / "slots.mcap"
+    settings = {**SMALL, "weather": [SMALL["weather"]], "slots": 2, "record": str(path)}
+    with node_on_bus(scratch / "slots", **settings) as (_, bus), bus.controller("office") as link:
+        link.reset()
+        for _ in range(4):
+            link.send()
+            link.receive()
+    with pytest.warns(UserWarning, match="is reported in part") as warned:
+        compare_recordings([path])
+    texts = [str(w.message).removeprefix(f"{path}: ") for w in warned]
+    assert texts == [f"episode 1 of slot {n} is reported in part: it has steps 0 to 4 of 96" for n in (0, 1)]
+
+
+@pytest.mark.slow
 def test_recording__episode_in_part_is_reported_where_no_episode_is_complete(interrupted: Path, tmp_path: Path) -> None:
     samples = 0
 

@@ -97,6 +97,7 @@ def compare_recordings(
 class _Episode:
     """An episode as a report lists it; `step` is the last one."""
 
+    slot: int
     number: int
     first_step: int
     step: int
@@ -134,8 +135,9 @@ class _Result:
         is_complete = first == 0 and (terminated or bool(trajectory.flags[-1] & Flag.TRUNCATED))
         self.episodes.append(
             _Episode(
-                trajectory.number, first, last, is_complete, metrics.measure(trajectory, terminated=terminated),
-                trajectory.seed, trajectory.weather or self.manifest.weather,
+                recorded.slot, trajectory.number, first, last, is_complete,
+                metrics.measure(trajectory, terminated=terminated), trajectory.seed,
+                trajectory.weather or self.manifest.weather,
                 trajectory.outdoor if first == 0 else None,
             )
         )  # fmt: skip
@@ -170,8 +172,9 @@ class _Result:
         what = "is not in the report" if True in self._trajectories else "is reported in part"
         for episode in self.episodes:
             if not episode.is_complete and not self.is_parallel:
+                slot = f" of slot {episode.slot}" if self.manifest.slots > 1 else ""
                 warnings.warn(
-                    f"{self.path}: episode {episode.number} {what}: it has steps {episode.first_step} to "
+                    f"{self.path}: episode {episode.number}{slot} {what}: it has steps {episode.first_step} to "
                     f"{episode.step} of {self.manifest.steps}",
                     stacklevel=4,
                 )
