@@ -59,7 +59,8 @@ def tune(
             out.print(f"{count}{_line(trial)}")
 
         def show_wait() -> None:
-            out.print("waiting for trials that run elsewhere, or were lost with their machine or command", markup=False)
+            text = "waiting for trials that run elsewhere, or were lost with their machine or command"
+            out.print(text, soft_wrap=True, markup=False)
 
         tuning = Tuning(config, show_trial, show_wait)
         bars.update(bar, completed=tuning.ended(), total=tuning.total())
