@@ -20,6 +20,7 @@ from zenostat.topics.errors import BusError, InvalidConfig
 _CONNECT_S = 10.0
 _END_S = 1.0
 _SHOWN = 200
+_NO_ANSWER = "it ended the connection without an answer; it may expect TLS, or a certificate of this client"
 
 _LOGGER = logging.getLogger(__name__)  # for aiomqtt: what goes wrong is in its exceptions as well
 _LOGGER.addHandler(logging.NullHandler())
@@ -101,7 +102,17 @@ class BrokerClient(aiomqtt.Client):
         if failures := [code for code in codes if isinstance(code, ReasonCode) and code.is_failure]:
             self._on_rejected(f"the subscription to {topic!r} ({failures[0]})")
 
-    # Methods of aiomqtt, which has no public access to the reason code of a PUBACK.
+    # Methods of aiomqtt, which waits for the answer of a broker that has ended the connection instead of answering, and
+    # has no public access to the reason code of a PUBACK.
+
+    def _on_disconnect(
+        self, client: Any, userdata: Any, flags: Any, reason_code: ReasonCode, properties: Any = None
+    ) -> None:
+        if self._connected.done():
+            super()._on_disconnect(client, userdata, flags, reason_code, properties)
+        else:
+            self._connected.set_exception(aiomqtt.MqttError(_NO_ANSWER))
+            self._connected.exception()  # nobody waits for it if the thread that connects raises an error as well
 
     def _on_publish(self, client: Any, userdata: Any, mid: int, reason_code: ReasonCode, properties: Any) -> None:
         if reason_code.is_failure:

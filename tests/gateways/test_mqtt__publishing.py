@@ -1,11 +1,13 @@
-"""Order and loss of what the MQTT gateway publishes, without a broker."""
+"""Order and loss of what the MQTT gateway publishes, and its connection, without a broker."""
 
+import asyncio
 from types import SimpleNamespace
 
 import pytest
 
-from zenostat.gateways.mqtt.broker import Broker
+from zenostat.gateways.mqtt.broker import Broker, connect
 from zenostat.gateways.mqtt.gateway import MAX_WAITING, MqttGateway
+from zenostat.topics.errors import BusError
 from zenostat.topics.messages import Event, EventKind
 
 
@@ -50,3 +52,14 @@ def test_mqtt__events_that_are_dropped_are_counted(gateway: MqttGateway) -> None
     for number in range(MAX_WAITING + 5):
         gateway._on_event(Event(kind=EventKind.WRITTEN, text=str(number)))
     assert "5 samples and events dropped" in gateway.summary()
+
+
+async def test_mqtt__broker_that_ends_the_connection_without_an_answer_is_said_to_do_so() -> None:
+    async def end(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.read(1)
+        writer.close()
+
+    async with await asyncio.start_server(end, "127.0.0.1", 0) as server:
+        port = server.sockets[0].getsockname()[1]
+        with pytest.raises(BusError, match="ended the connection without an answer"):
+            await connect(Broker("127.0.0.1", port), "status", lambda _: None)
