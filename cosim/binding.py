@@ -13,7 +13,7 @@ from zenostat.bridge.node.plant import RunPeriod
 from zenostat.bridge.python_plant.description import BEGIN
 from zenostat.cosim.file import BUILDING_KINDS, Connection, DistrictFile, Resample, kind_of
 from zenostat.cosim.market_plant import Market
-from zenostat.cosim.resampling import Floats, Resampler
+from zenostat.cosim.resampling import TICK_S, Floats, Resampler, whole_steps
 from zenostat.cosim.topology import MAX_POINT_NAME, Topology, plant_of
 from zenostat.topics.calendar import format_duration, parse_day
 from zenostat.topics.errors import InvalidConfig, did_you_mean
@@ -26,8 +26,6 @@ _RATES = ("power", "mass flow", "volume flow", "reactive power", "apparent power
 """Quantities that are exchanged as means over the timestep."""
 _RATE_UNITS = {"J": "W", "kg": "kg/s", "m3": "m3/s", "L": "L/s"}
 """Units of amounts, and those of their rates."""
-_TICK_S = 1e-6
-"""Timesteps are whole numbers of microseconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,15 +241,15 @@ def _timestep(file: DistrictFile, manifests: Mapping[str, Manifest], errors: Fil
 
 
 def _divides(part_s: float, whole_s: float) -> bool:
-    return round(whole_s / _TICK_S) % round(part_s / _TICK_S) == 0
+    return round(whole_s / TICK_S) % round(part_s / TICK_S) == 0
 
 
 def _common_multiple(steps_s: Sequence[float]) -> float:
     multiple = 1
     for step_s in steps_s:
-        ticks = round(step_s / _TICK_S)
+        ticks = round(step_s / TICK_S)
         multiple = multiple * ticks // gcd(multiple, ticks)
-    return multiple * _TICK_S
+    return multiple * TICK_S
 
 
 def _run_period(
@@ -261,7 +259,7 @@ def _run_period(
     lengths = {name: m.manifest.steps * m.step_s for name, m in members.items()}
     shortest = min(lengths, key=lambda name: lengths[name])
     if file.spec.duration is None:
-        steps = int(round(lengths[shortest] / _TICK_S) // round(step_s / _TICK_S))
+        steps = whole_steps(lengths[shortest], step_s)
         if steps < 1:
             errors.add(
                 ("plants", shortest), f"an episode of plant {shortest!r} is shorter than the timestep of {step_s:g} s"

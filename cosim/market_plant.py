@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from zenostat.cosim.coupled import Floats, Rows
 from zenostat.cosim.market import Clearing, MarketSpec
+from zenostat.cosim.resampling import whole_steps
 from zenostat.topics import VERSION
 from zenostat.topics.messages import Actuator, Aggregation, Manifest, Mode, Policy, Sensor, Versions
 
@@ -43,7 +44,7 @@ def market_manifest(name: str, spec: MarketSpec, others: Mapping[str, Manifest],
         begin=longest.begin,
         end=longest.end,
         step_s=step_s,
-        steps=int(duration_s // step_s),
+        steps=whole_steps(duration_s, step_s),
         mode=Mode.LOCKSTEP,
         policy=Policy.WAIT,
         sensors=tuple(

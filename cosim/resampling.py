@@ -12,6 +12,14 @@ from zenostat.cosim.file import Resample
 
 Floats = NDArray[np.float64]
 
+TICK_S = 1e-6
+"""Timesteps are whole numbers of microseconds."""
+
+
+def whole_steps(duration_s: float, step_s: float) -> int:
+    """Return the number of whole timesteps in a time: ten of 0.1 s in 1 s, whose quotient floors to 9."""
+    return round(duration_s / TICK_S) // round(step_s / TICK_S)
+
 
 class Resampler:
     """Converts the values of a step of the district from one timestep to another.

@@ -24,6 +24,7 @@ from zenostat.agent_sdk.time_series import per_kwh
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.messages import Manifest
+from zenostat.topics.points import is_mean
 
 Floats = NDArray[np.float64]
 
@@ -55,7 +56,8 @@ class DistrictPoints:
     Attributes:
         consumption: meters (J) or power sensors (W) that the district draws.
         feed_in: those that it feeds in.
-        price: sensor of the price of the coming timestep; None: the cost is unknown.
+        price: sensor of the price of the coming timestep, or, if it is a mean over the timestep as the price of a
+            market, of that timestep; None: the cost is unknown.
         limits: by point, its upper limit.
         generation: power or energy that is generated in the district; without it, self-consumption is unknown.
 
@@ -127,7 +129,8 @@ def district_kpis(
     kpis["zero_net_energy"] = float(net_kwh.sum())
     if points.price is not None:
         column = _column(manifest, points.price)
-        prices = trajectory.fault_free_values[:-1, column] * _per_kwh(points.price, manifest.points[column].unit)
+        point, values = manifest.points[column], trajectory.fault_free_values[:, column]
+        prices = (values[1:] if is_mean(point) else values[:-1]) * _per_kwh(points.price, point.unit)
         kpis["cost_total"] = float(np.maximum(net_kwh * prices, 0.0).sum())
     if emissions_kg_kwh is not None:
         kpis["carbon_emissions_total"] = float(np.maximum(net_kwh * emissions_kg_kwh, 0.0).sum())

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.topics.errors import InvalidAction, UnknownName, ZenostatError, did_you_mean
-from zenostat.topics.messages import Actuator, Manifest
+from zenostat.topics.messages import Actuator, Aggregation, Manifest, Meter, Sensor
 from zenostat.topics.units import with_unit
 
 LARGEST = float_info.max
@@ -133,6 +133,11 @@ class PointIndex(dict[str, int]):
         unknown = [str(self.unknown(name)) for name in names if name not in self]
         if unknown:
             raise self._error("\n".join(unknown))
+
+
+def is_mean(point: Sensor | Meter) -> bool:
+    """Whether a point is a mean over the timestep that has ended, rather than a value at its end or a total."""
+    return isinstance(point, Sensor) and point.aggregation is Aggregation.MEAN
 
 
 def value_index(manifest: Manifest) -> PointIndex:

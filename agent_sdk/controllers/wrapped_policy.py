@@ -64,7 +64,7 @@ class WrappedPolicy(Controller):
         self._link: _SampleQueue | None = None
         self._seed: int | None = None
         self._episodes = 0
-        with self._environment(_SampleQueue(manifest)) as env:
+        with self._environment(_SampleQueue(manifest)) as env:  # before the states, which only fit these spaces
             for kind in ("observation", "action"):
                 current, trained = getattr(env, f"{kind}_space"), getattr(model, f"{kind}_space")
                 if current != trained:
@@ -72,6 +72,7 @@ class WrappedPolicy(Controller):
                         f"the model was trained on other {kind}s than those of {manifest.node!r} within the wrappers "
                         f"of its training: {describe_difference(trained, current)}; use the scenario of its training"
                     )
+            self._restore(env)
 
     @contextmanager
     def _environment(self, link: _SampleQueue) -> Iterator[gym.Env[Any, Any]]:
@@ -79,10 +80,13 @@ class WrappedPolicy(Controller):
         is_code = (link.manifest.task.reward or {}).get("kind") == CUSTOM
         with BuildingEnv(link=link, reward=None if is_code else FROM_SCENARIO) as env:
             wrapped = apply_wrappers(env, self._wrappers)
-            if self._states:
-                set_wrapper_states(wrapped, self._states, "the training's wrappers")
             with frozen_statistics(wrapped):
                 yield wrapped
+
+    def _restore(self, env: gym.Env[Any, Any]) -> None:
+        """Give the wrappers what they have learnt in the training."""
+        if self._states:
+            set_wrapper_states(env, self._states, "the state of the training's wrappers")
 
     def seed_episode(self, seed: int) -> None:
         """Let the wrappers draw from the seed of the next episode, as in an evaluation of its training.
@@ -116,6 +120,7 @@ class WrappedPolicy(Controller):
             sys.modules["torch"].set_num_threads(torch_threads)  # it applies to the thread that calls it
         try:
             with self._environment(link) as env:
+                self._restore(env)
                 predictor, (observation, _) = Predictor(self._model), env.reset(seed=seed)
                 while True:
                     if self._normalization is not None:

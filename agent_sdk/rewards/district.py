@@ -20,7 +20,7 @@ from zenostat.agent_sdk.rewards.terms import Quantity, Term, TermSum
 from zenostat.agent_sdk.time_series import per_kwh
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.messages import Manifest
-from zenostat.topics.points import value_index
+from zenostat.topics.points import is_mean, value_index
 
 Weight = Annotated[float, Field(ge=0.0)]
 
@@ -108,7 +108,13 @@ class DistrictReward(ComfortBand):
             index = _index(self.kind, self.price, manifest)
             quantities["cost"] = (
                 w * self.cost,
-                Cost(net, index, _per_kwh(self.price, manifest.points[index].unit), state),
+                Cost(
+                    net,
+                    index,
+                    _per_kwh(self.price, manifest.points[index].unit),
+                    state,
+                    is_mean=is_mean(manifest.points[index]),
+                ),
             )
         quantities["feed_in"] = w * self.feed_in, FeedIn(net)
         if self.temperatures is not None:
@@ -222,25 +228,30 @@ class Ramp(Quantity):
 class Cost(Quantity):
     """The cost of the energy that is drawn, at the price of the timestep. Metric: cost.
 
-    A point has the price of the coming timestep. That of the first timestep is not known, and is taken from its end.
+    A point that is a mean over the timestep, as the price of a market, has the price of that timestep; any other has
+    that of the coming one. That of the first timestep is then not known, and is taken from its end.
 
     Args:
         net: net consumption.
         price: index of the point.
         per_kwh: factor from its value to the price per kWh.
         state: has the number `price`.
+        is_mean: whether the point is a mean over the timestep.
     """
 
-    def __init__(self, net: NetPower, price: int, per_kwh: float, state: SlotState) -> None:
-        self._net, self._price, self._per_kwh, self._state = net, price, per_kwh, state
+    def __init__(self, net: NetPower, price: int, per_kwh: float, state: SlotState, *, is_mean: bool) -> None:
+        self._net, self._price, self._per_kwh, self._state, self._is_mean = net, price, per_kwh, state, is_mean
 
     @override
     def measure(self, values: NDArray[np.float64], begin: Begin, metrics: Terms) -> Any:
         kwh = np.maximum(self._net.kwh(values, metrics), 0.0)
-        coming = values.take(self._price, axis=-1) * self._per_kwh
+        price = values.take(self._price, axis=-1) * self._per_kwh
+        if self._is_mean:
+            cost = metrics["cost"] = kwh * price
+            return cost
         known = self._state.of(np.shape(kwh))["price"]
-        cost = metrics["cost"] = kwh * np.where(known == _UNKNOWN, coming, known)
-        self._state.store(price=np.asarray(coming))
+        cost = metrics["cost"] = kwh * np.where(known == _UNKNOWN, price, known)
+        self._state.store(price=np.asarray(price))
         return cost
 
 

@@ -59,6 +59,8 @@ def _statistics(normalization: VecNormalize) -> Arrays:
 def _layers(model: BaseAlgorithm, what: str) -> tuple[list[torch.nn.Module], bool]:
     """Return the layers from observation to action, and whether a tanh follows that is not among them."""
     policy: Any = model.policy
+    if hasattr(policy, "lstm_actor"):
+        raise InvalidConfig(f"{what}: a recurrent policy cannot be exported, as its memory is no layer of this form")
     if isinstance(policy, ActorCriticPolicy) and not policy.use_sde and not policy.squash_output:
         extractor, layers, squashed = policy.pi_features_extractor, [*policy.mlp_extractor.policy_net], False
         layers.append(policy.action_net)

@@ -12,7 +12,7 @@ from zenostat.agent_sdk.controllers import DistrictCoordinator
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
 from zenostat.agent_sdk.rewards import DistrictReward
 from zenostat.topics.errors import InvalidConfig
-from zenostat.topics.messages import Actuator, Manifest, Sensor, Task
+from zenostat.topics.messages import Actuator, Aggregation, Manifest, Sensor, Task
 
 NOON = datetime(2026, 7, 1, 12)
 POINTS = {
@@ -63,6 +63,18 @@ def test_district_reward__is_the_sum_of_its_terms_by_hand() -> None:
     third = reward(row(**{"import": 8000.0}, price=1000.0), NOON)
     assert third.terms["cost"] == pytest.approx(-0.5 * 10.0 * 2.0 * 0.3)  # at the price that the second sample had
     assert third.terms["peak"] == pytest.approx(-0.5 * 2.0 * (8.0 - 4.0))
+
+
+def test_district_reward__price_that_is_a_mean_is_that_of_its_own_timestep() -> None:
+    """A market's price holds for the timestep that has ended: 4 kW for a quarter of an hour at 100, then at 300."""
+    plain = district()
+    sensors = tuple(
+        each.model_copy(update={"aggregation": Aggregation.MEAN}) if each.name == "g.price" else each
+        for each in plain.sensors
+    )
+    reward = DistrictReward.model_validate(REWARD).bind(plain.model_copy(update={"sensors": sensors}))
+    costs = [reward(row(**{"import": 4000.0}, price=price), NOON).metrics["cost"] for price in (100.0, 300.0)]
+    assert costs == pytest.approx([0.1, 0.3])
 
 
 def test_district_reward__peak_is_that_of_the_calendar_day() -> None:

@@ -172,3 +172,17 @@ def test_network_policy__only_known_policies_are_exported(tmp_path: Path) -> Non
     folder = trained("ppo", tmp_path / "training", parameters=parameters)
     with pytest.raises(InvalidConfig, match="only policies of PPO, A2C and SAC can be exported"):
         export_policy(folder)
+
+
+@pytest.mark.slow
+def test_network_policy__recurrent_policy_is_not_exported_without_its_memory(tmp_path: Path) -> None:
+    pytest.importorskip("sb3_contrib")
+    parameters = {**PARAMETERS["ppo"], "policy_kwargs": {"net_arch": [8], "lstm_hidden_size": 8}}
+    changes: dict[str, Any] = {"parameters": parameters, "policy": "MlpLstmPolicy", "wrappers": []}
+    folder = tmp_path / "training"
+    train(read_training({
+        "algorithm": "recurrent-ppo", "scenario": "Fake-v1", "arguments": DAY, "steps": 24, "threads": 1,
+        "evaluation": False, "output": str(folder), **changes,
+    }))  # fmt: skip
+    with pytest.raises(InvalidConfig, match="a recurrent policy cannot be exported"):
+        export_policy(folder)

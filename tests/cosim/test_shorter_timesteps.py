@@ -74,3 +74,10 @@ def test_market__holds_its_price_for_the_timestep() -> None:
     manifest: Manifest = market_manifest("m", spec, {"a": manifest_of({"y": "W"}, {})}, None)
     means = {sensor.name for sensor in manifest.sensors if sensor.aggregation is Aggregation.MEAN}
     assert means == {"price", "demand", "cleared_demand", "limit"}
+
+
+@pytest.mark.parametrize(("step_s", "steps"), [(0.1, 10), (0.2, 5), (60.0, 24), (1e-3, 3000)])
+def test_market__has_as_many_timesteps_as_its_plants(step_s: float, steps: int) -> None:
+    spec = MarketSpec(high=1.0, limit_w=1.0, bidders=[{"demand": "a.y"}])
+    others = {"a": manifest_of({"y": "W"}, {}, step_s=step_s, steps=steps)}
+    assert market_manifest("m", spec, others, None).steps == steps

@@ -24,6 +24,7 @@ from stable_baselines3.common.save_util import load_from_zip_file  # noqa: E402
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize  # noqa: E402
 
 from zenostat.agent_sdk.controllers import Agent, load_controller  # noqa: E402
+from zenostat.agent_sdk.controllers.parameters import ControllerMismatch  # noqa: E402
 from zenostat.agent_sdk.envs.sb3_vec_env import as_sb3  # noqa: E402
 from zenostat.lab.evaluate import evaluate, run_episode  # noqa: E402
 from zenostat.lab.training import ALGORITHMS, load_policy, read_training, resume_training, train  # noqa: E402
@@ -203,6 +204,16 @@ def test_training__folder_of_a_training_behind_wrappers_is_a_controller(tmp_path
             for _ in range(2):  # a second episode begins anew
                 metrics, _ = run_episode(env, lambda _, agent=agent, env=env: agent.action(env.sample), seed=5)
                 assert metrics.reward == result.best_reward
+
+
+def test_training__behind_wrappers_with_a_state_is_no_controller_of_other_observations(tmp_path: Path) -> None:
+    changes = {"wrappers": [{"wrapper": "NormalizeObservation"}], "evaluation": False, "arguments": DAY, "steps": 32}
+    train(read_training(fields("a2c", tmp_path, **changes)))
+    with (
+        FakeEnv(**{**DAY, "zones": 4}) as env,
+        pytest.raises(ControllerMismatch, match=r"trained on other observations .* scenario of its training"),
+    ):
+        load_controller(str(tmp_path))(env.manifest)
 
 
 def test_training__evaluations_write_no_logs(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """The KPIs of districts, by hand."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from support.builders import manifest
 from zenostat.metrics.district_kpis import DISTRICT_KPIS, DistrictPoints, district_kpis, points_of, relative
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.topics.errors import InvalidConfig
-from zenostat.topics.messages import Sensor, Task
+from zenostat.topics.messages import Aggregation, Sensor, Task
 
 HOURS = 3600.0
 POINTS = DistrictPoints(
@@ -41,6 +42,17 @@ def run(*rows: tuple[float, ...], step_s: float = HOURS, **changes: Any) -> Traj
 
 def flat(*net_kw: float) -> Trajectory:
     return run((0.0, 0.0, 0.0, 0.0, 0.0), *((net, 0.0, 0.0, 0.0, 0.0) for net in net_kw))
+
+
+def test_district_kpis__price_that_is_a_mean_is_that_of_its_own_timestep() -> None:
+    """Two hours of 2 and 5 kW at 0.2 and 0.3 EUR/kWh, as a market clears them."""
+    of = run((9.0, 0.1, 0.0, 0.0, 0.0), (2.0, 0.2, 0.0, 0.0, 0.0), (5.0, 0.3, 0.0, 0.0, 0.0))
+    sensors = tuple(
+        each.model_copy(update={"aggregation": Aggregation.MEAN}) if each.name == POINTS.price else each
+        for each in of.manifest.sensors
+    )
+    market = replace(of, manifest=of.manifest.model_copy(update={"sensors": sensors}))
+    assert district_kpis(market, POINTS)["cost_total"] == pytest.approx(2 * 0.2 + 5 * 0.3)
 
 
 def test_district_kpis__by_hand() -> None:
