@@ -14,7 +14,7 @@ from zenostat.agent_sdk.controllers import ControllerProtocol, load_controller
 from zenostat.lab.tuning.controller_episodes import ControllerEpisodes
 from zenostat.lab.tuning.controller_study import check_names
 from zenostat.lab.tuning.search_space import DEFAULT, ask, decode
-from zenostat.lab.tuning.study_config import Direction, Range, SearchSpace, default_direction, starting_point
+from zenostat.lab.tuning.study_config import Direction, Pruner, Range, SearchSpace, default_direction, starting_point
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
@@ -24,12 +24,10 @@ with requires_extra("tune", "tuning", "Optuna"):
     from optuna.trial import TrialState
 
     from zenostat.lab.tuning.study_sampler import make_sampler
+    from zenostat.lab.tuning.study_storage import make_pruner
 
 Progress = Callable[[int, int, float, float], None]
 """Callback for each trial that has ended: its number from 1, the number of all, its value, and the best so far."""
-
-_STARTUP_TRIALS = 5
-"""Finished trials before the first one is pruned."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +117,7 @@ def tune_controller(
     factory = load_controller(controller) if isinstance(controller, str) else controller
     check_names(factory, searched, fixed)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    pruner = _pruner(max(len(weathers), 1) if prune and sampler != "cma-es" else None)
+    pruner = make_pruner(Pruner(warmup_steps=max(len(weathers), 1)) if prune and sampler != "cma-es" else None)
     direction = direction or default_direction(metric)
     study = optuna.create_study(direction=direction, sampler=make_sampler(sampler, seed, searched), pruner=pruner)
     study.enqueue_trial({}, user_attrs={DEFAULT: True})
@@ -165,12 +163,6 @@ def _run(
         return TrialRecord(values, latest, pruned=True)
     study.tell(trial, value)
     return TrialRecord(values, value)
-
-
-def _pruner(warmup: int | None) -> optuna.pruners.BasePruner:
-    if warmup is None:
-        return optuna.pruners.NopPruner()
-    return optuna.pruners.MedianPruner(_STARTUP_TRIALS, warmup)
 
 
 def read_search_space(parameters: Mapping[str, Any]) -> dict[str, Range]:

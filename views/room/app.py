@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, Field
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response, StreamingResponse
@@ -51,8 +51,9 @@ from zenostat.views.room.dashboards import (
 from zenostat.views.room.description import NodeDescription
 from zenostat.views.room.node_watch import NodeWatch
 from zenostat.views.room.numbers import to_json
-from zenostat.views.room.operations import read_body, read_operation
+from zenostat.views.room.operations import read_operation
 from zenostat.views.room.priorities import priority_arrays
+from zenostat.views.room.requests import RoomRequest, read_body
 from zenostat.views.room.series import MAX_SAMPLES, HistoryCache, history_content
 from zenostat.views.room.started_nodes import TOPIC as STARTED
 from zenostat.views.room.started_nodes import StartedNodes
@@ -102,15 +103,11 @@ class RoomSettings:
 DEFAULTS = RoomSettings()
 
 
-class _SignIn(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
-
+class _SignIn(RoomRequest):
     token: Annotated[str, Field(max_length=200)]
 
 
-class _Invitation(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
-
+class _Invitation(RoomRequest):
     operator: Annotated[str, AfterValidator(check_name_of)]
 
 

@@ -13,7 +13,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, Field
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
@@ -25,7 +25,7 @@ from zenostat.topics.messages import Mode
 from zenostat.topics.plurals import counted
 from zenostat.views.room.access import check_name_of, operator_of
 from zenostat.views.room.audit import AuditLog
-from zenostat.views.room.operations import read_body
+from zenostat.views.room.requests import NodeName, RoomRequest, Speed, read_body
 from zenostat.views.room.scenario_program import ScenarioProgram
 from zenostat.views.room.started_nodes import StartedNodes
 
@@ -35,11 +35,7 @@ _Answer = dict[str, str]
 """Answer to a change: its `text`, and the `digest` of a file that was saved."""
 
 
-class _Request(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class CheckScenario(_Request):
+class CheckScenario(RoomRequest):
     """Check a scenario: its fields, and the name that its file would have."""
 
     fields: dict[str, Any]
@@ -60,15 +56,15 @@ class SaveScenario(CheckScenario):
 class StartNode(SaveScenario):
     """Save a scenario, and start a node from it."""
 
-    node: Annotated[str, Field(max_length=128)]
+    node: NodeName
     mode: Literal["lockstep", "paced", "free"] = Mode.PACED.value
-    speed: Annotated[float, Field(gt=0, le=1e9)] = 60.0
+    speed: Speed = 60.0
 
 
-class StopNode(_Request):
+class StopNode(RoomRequest):
     """End a node that was started from the page."""
 
-    node: Annotated[str, Field(max_length=128)]
+    node: NodeName
 
 
 class Builder:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import PurePosixPath
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 from typing_extensions import override
 
 from zenostat.bridge.client.bus import Bus
@@ -16,16 +16,14 @@ from zenostat.topics.fault_plan import FaultPlan
 from zenostat.topics.messages import Mode, Reset
 from zenostat.topics.messages.base import Seed
 from zenostat.topics.plurals import counted
+from zenostat.views.room.requests import RoomRequest, Speed, read_body
 
 Alarm = Annotated[str, Field(min_length=1, max_length=300)]
 Comment = Annotated[str, Field(max_length=500)]
-T = TypeVar("T", bound=BaseModel)
 
 
-class Operation(BaseModel):
+class Operation(RoomRequest):
     """A change of a node, as a page sends it."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     def run(self, bus: Bus, node: str, operator: str) -> str:
         """Send it, and return the node's answer in words; `ZenostatError` if the node rejects it."""
@@ -80,7 +78,7 @@ class Pace(Operation):
     """Change the mode, or the speed in paced mode."""
 
     mode: str = "paced"
-    speed: Annotated[float, Field(gt=0, le=1e9)] | None = None
+    speed: Speed | None = None
 
     @override
     def run(self, bus: Bus, node: str, operator: str) -> str:
@@ -203,11 +201,3 @@ def read_operation(name: str, body: bytes) -> Operation:
     if name not in OPERATIONS:
         raise NodeNotFound(f"no operation {name!r}; {did_you_mean(name, OPERATIONS)}")
     return read_body(OPERATIONS[name], body)
-
-
-def read_body(kind: type[T], body: bytes) -> T:
-    """Return a checked request; `InvalidConfig` lists what is wrong with it."""
-    try:
-        return kind.model_validate_json(body or b"{}")
-    except ValidationError as error:
-        raise InvalidConfig(codec.describe_validation_errors(error, kind.model_fields)) from None

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
@@ -24,7 +24,7 @@ from zenostat.views.report.document import REPORT_SCRIPT
 from zenostat.views.room.access import operator_of
 from zenostat.views.room.audit import AuditLog
 from zenostat.views.room.numbers import to_json
-from zenostat.views.room.operations import read_body
+from zenostat.views.room.requests import NodeName, RoomRequest, Speed, read_body
 from zenostat.views.room.started_nodes import StartedNodes
 from zenostat.views.room.trainings import REPORT, Trainings
 
@@ -39,10 +39,8 @@ _LONGEST_ERROR = 1000
 _END_S = 10.0
 
 
-class TrainingName(BaseModel):
+class TrainingName(RoomRequest):
     """A training of the folder."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
 
     name: Annotated[str, Field(max_length=1000)]
 
@@ -50,8 +48,8 @@ class TrainingName(BaseModel):
 class StartFromTraining(TrainingName):
     """Start a node: from a training with its best model as the controller, or from a recording in its folder."""
 
-    node: Annotated[str, Field(max_length=128)]
-    speed: Annotated[float, Field(gt=0, le=1e9)] = 3600.0
+    node: NodeName
+    speed: Speed = 3600.0
 
 
 class TrainingPages:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+from pydantic import Field, StringConstraints, ValidationError
 
 from zenostat.agent_sdk.controllers import CONTROLLERS, ControllerProtocol, load_controller, make_controller
 from zenostat.agent_sdk.controllers.base import Finder
@@ -22,6 +22,7 @@ from zenostat.bridge.runtime.user_code import describe_user_error
 from zenostat.bridge.transport.session import DEFAULT_ENDPOINT
 from zenostat.topics.errors import InvalidConfig, UnknownName, UsageError, ZenostatError, did_you_mean
 from zenostat.topics.messages import Manifest
+from zenostat.views.room.requests import RoomRequest
 
 _NOT_OFFERED = ("oracle",)
 """It plans in branches of an environment, and one of its parameters can name a class."""
@@ -44,10 +45,8 @@ def offered_controllers(own: Iterable[str]) -> Mapping[str, Factory]:
     return {**BUNDLED, **{text: load_controller(text) for text in own}}
 
 
-class TrialController(BaseModel):
+class TrialController(RoomRequest):
     """A controller by its name, and those of its parameters that differ from their defaults."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     name: Annotated[str, StringConstraints(max_length=4096)]
     parameters: Annotated[dict[Name, bool | int | float | Text], Field(max_length=200)] = Field(default_factory=dict)

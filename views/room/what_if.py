@@ -17,7 +17,7 @@ from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from zenostat.agent_sdk.controllers import Agent, Values
 from zenostat.bridge.client.bus import Bus
@@ -30,6 +30,7 @@ from zenostat.topics.messages import Ack, CommandOp, CreateBranch, Manifest, Sam
 from zenostat.topics.points import actuator_index, contains, describe_violation
 from zenostat.views.room.description import MAX_FUTURE_STEPS, NodeDescription, longest_future_h
 from zenostat.views.room.numbers import number, numbers
+from zenostat.views.room.requests import RoomRequest
 from zenostat.views.room.trial_controllers import BUNDLED, Factory, TrialController, semantic_model
 
 _STEPS_PER_REQUEST = 48  # so that a large building answers in time
@@ -41,13 +42,11 @@ _REPLY_BYTES = codec.MAX_BYTES // 2
 Floats = NDArray[np.float64]
 
 
-class WhatIf(BaseModel):
+class WhatIf(RoomRequest):
     """Values to try for some actuators, or a controller, at a priority, for the next hours.
 
     The value None relinquishes an actuator there. By default it is a day, or the longest that can be simulated.
     """
-
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     values: Annotated[dict[str, float | None], Field(max_length=200)] = Field(default_factory=dict)
     controller: TrialController | None = None
