@@ -23,7 +23,9 @@ def replay(
     file: File,
     speed: Annotated[
         float | None,
-        typer.Option(min=0.0, help="Simulated seconds per second. Default: as fast as it was recorded."),
+        typer.Option(
+            min=0.0, help="Simulated seconds per second. Default: as it was recorded, with pauses of up to a minute."
+        ),
     ] = None,
     begin: Annotated[
         str | None, typer.Option("--from", metavar="TIME", help="Simulated time of the first sample, 07-03T08:00.")

@@ -39,6 +39,9 @@ from zenostat.topics.printable import replace_controls
 
 _SCHEMAS = frozenset(("Sample", "Event", "Manifest"))
 
+_LONGEST_WAIT_S = 60.0
+"""Longest time between two messages that is repeated, in s, unless the timesteps of a paced node take longer."""
+
 
 @dataclass(frozen=True, slots=True)
 class ReplayRange:
@@ -59,7 +62,7 @@ class Replay:
         reader: of the recording; the caller closes it.
         session: the Zenoh session; the caller closes it.
         name: of the node on the bus; None is that of the recorded node.
-        speed: simulated seconds per second; None: as in the recording.
+        speed: simulated seconds per second; None: as in the recording, with long pauses cut to a minute.
         selected: the part to replay.
         semantic: returns the semantic model of the recorded building as Turtle for the name of a node, or raises a
             `ZenostatError` that says why there is none; called once, in a thread of its own, when it is asked for.
@@ -234,7 +237,7 @@ class Replay:
     def _schedule(self) -> Iterator[tuple[float, RecordedItem, Sample | None]]:
         """Yield the time in seconds to wait before each message of the selected part, the message, and its sample."""
         previous_ns, previous = 0, (-1, 0.0)
-        is_selected = self._selected.begin is None
+        is_selected, longest_s = self._selected.begin is None, _longest_wait_s(self._reader.manifest)
         for item in self._reader.messages(_SCHEMAS):
             wait_s, sample = 0.0, None
             if item.schema == "Sample":
@@ -244,10 +247,12 @@ class Replay:
                 if self._speed is not None and present[0] == previous[0] and is_selected:
                     wait_s = max(present[1] - previous[1], 0.0) / self._speed
                 previous = present
+            elif item.schema == "Manifest":
+                longest_s = _longest_wait_s(decode(self._reader, Manifest, item))
             if not is_selected:
                 continue
             if self._speed is None and previous_ns:
-                wait_s = max(item.time_ns - previous_ns, 0) / 1e9
+                wait_s = min(max(item.time_ns - previous_ns, 0) / 1e9, longest_s)
             previous_ns = item.time_ns
             yield wait_s, item, sample
 
@@ -263,3 +268,13 @@ class Replay:
         else:
             self.manifest = self._renamed(decode(self._reader, Manifest, item))
             self._publications.manifest(self.manifest)
+
+
+def _longest_wait_s(manifest: Manifest) -> float:
+    """Return the longest time between two messages that is repeated, in s.
+
+    Messages may be further apart because nobody stepped the node, because another node went on with the recording, or
+    because the clock of the machine was set.
+    """
+    timestep_s = manifest.step_s / manifest.speed if manifest.mode is Mode.PACED and manifest.speed else 0.0
+    return max(_LONGEST_WAIT_S, 2.0 * timestep_s)

@@ -29,7 +29,7 @@ from zenostat.eplus_node.verify_recording import RecordedPlant
 from zenostat.models.catalog import find_weather
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import InvalidConfig, InvalidRecording, NameInUse, RequestRejected, UnknownName
-from zenostat.topics.messages import Claim, Command, Sample, Write
+from zenostat.topics.messages import Claim, Command, Mode, Sample, Write
 from zenostat.topics.recording import RecordedWeather
 
 SETPOINT, CORE = "core_zn_cooling_setpoint", "core_zn_air_temperature"
@@ -286,6 +286,26 @@ def test_recording__part_is_replayed_under_another_name_at_its_pace(
         pytest.raises(InvalidConfig, match="has no samples in the selected time"),
     ):
         replay.run(threading.Event())
+
+
+def test_recording__replay_cuts_pauses_to_a_minute_or_two_timesteps_of_a_paced_node(
+    seen: Any, session: tuple[zenoh.Session, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The clock was set forward by an hour in the midst of the recording."""
+    with RecordingReader(seen.path) as reader:
+        recorded = [*reader.messages({"Sample", "Event"})]
+        begin, middle, end = recorded[0].time_ns, recorded[20].time_ns, recorded[-1].time_ns
+        shifted = [
+            item._replace(time_ns=item.time_ns + 3600 * 10**9 if number >= 20 else item.time_ns)
+            for number, item in enumerate(recorded)
+        ]
+        monkeypatch.setattr(reader, "messages", lambda _: iter(shifted))
+        rest_s = (recorded[19].time_ns - begin + end - middle) / 1e9
+        assert sum(wait_s for wait_s, *_ in Replay(reader, session[0])._schedule()) == pytest.approx(rest_s + 60.0)
+        paced = {"mode": Mode.PACED, "step_s": 900.0, "speed": 0.5}
+        monkeypatch.setattr(reader, "manifest", reader.manifest.model_copy(update=paced))
+        waits = sum(wait_s for wait_s, *_ in Replay(reader, session[0])._schedule())
+        assert waits == pytest.approx(rest_s + 3600.0)  # two timesteps, each of half an hour
 
 
 def test_recording__replay_command(seen: Any, folder: Path) -> None:
