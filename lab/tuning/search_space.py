@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -17,15 +18,20 @@ DEFAULT = "default"
 
 
 def distribution(searched: Range) -> optuna.distributions.BaseDistribution:
-    """Return the distribution of a searched parameter; choices that are lists or mappings are searched as JSON."""
+    """Return the distribution of a searched parameter; choices that are lists or mappings are searched as JSON.
+
+    Where steps do not end at `high`, the last multiple below it is the highest number.
+    """
     if searched.choices is not None:
         return optuna.distributions.CategoricalDistribution([encode(choice) for choice in searched.choices])
     assert searched.low is not None
     assert searched.high is not None
-    if searched.is_integer:
-        step = int(searched.step or 1)
-        return optuna.distributions.IntDistribution(int(searched.low), int(searched.high), log=searched.log, step=step)
-    return optuna.distributions.FloatDistribution(searched.low, searched.high, log=searched.log, step=searched.step)
+    low, high, log, step = searched.low, searched.high, searched.log, searched.step
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "The distribution is specified by")
+        if searched.is_integer:
+            return optuna.distributions.IntDistribution(int(low), int(high), log=log, step=int(step or 1))
+        return optuna.distributions.FloatDistribution(low, high, log=log, step=step)
 
 
 def distributions(searched: Mapping[str, Range]) -> dict[str, optuna.distributions.BaseDistribution]:

@@ -5,6 +5,7 @@ import sqlite3
 import subprocess
 import sys
 import threading
+import warnings
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -74,13 +75,17 @@ def test_tuning__best_training_has_its_references_again(tmp_path: Path) -> None:
     [
         ({"low": 1, "high": 8}, optuna.distributions.IntDistribution(1, 8)),
         ({"low": 1, "high": 9, "step": 4}, optuna.distributions.IntDistribution(1, 9, step=4)),
+        ({"low": 1, "high": 8, "step": 4}, optuna.distributions.IntDistribution(1, 5, step=4)),
+        ({"low": 0.0, "high": 3.0, "step": 0.7}, optuna.distributions.FloatDistribution(0.0, 2.8, step=0.7)),
         ({"low": 0.5, "high": 1}, optuna.distributions.FloatDistribution(0.5, 1.0)),
         ({"low": 1e-5, "high": 1e-2, "log": True}, optuna.distributions.FloatDistribution(1e-5, 1e-2, log=True)),
         ({"choices": [[8], [8, 8]]}, optuna.distributions.CategoricalDistribution(("[8]", "[8, 8]"))),
     ],
 )
 def test_tuning__ranges_are_the_distributions_of_optuna(searched: dict[str, Any], expected: Any) -> None:
-    assert distribution(Range.model_validate(searched)) == expected
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert distribution(Range.model_validate(searched)) == expected
 
 
 @pytest.mark.parametrize(
