@@ -39,13 +39,18 @@ def from_function(function: RewardFunction | RewardClass) -> Reward:
             or with those of a `functools.partial` of the class.
 
     Raises:
-        InvalidConfig: the function does not take two arguments; at a step, it returned something other than a reward.
+        InvalidConfig: the function does not take two arguments, or its `reset` not one; at a step, it returned
+            something other than a reward.
         UnknownName: at a step, it read a point that the node does not have. Its other exceptions are passed on, with a
             note that names the reward.
     """
     error = _signature_error(function)
     if error is not None:
         raise InvalidConfig(f"reward: {_name(function)} should take (values, begin): {error}")
+    kind = class_of(function)
+    reset = getattr(function if kind is None else kind, "reset", None)
+    if callable(reset) and (error := _call_error(reset, 1 if kind is None else 2)) is not None:
+        raise InvalidConfig(f"reward: {_name(function)}.reset should take (slots): {error}")
     return _FunctionReward(function)
 
 
@@ -60,10 +65,13 @@ def _signature_error(function: RewardFunction | RewardClass) -> str | None:
     kind = class_of(function)
     if kind is not None and not any("__call__" in vars(base) for base in kind.__mro__):
         return "it has no __call__"
-    called: Any = function if kind is None else kind.__call__
-    self_argument = [] if kind is None else [None]
+    return _call_error(function, 2) if kind is None else _call_error(kind.__call__, 3)
+
+
+def _call_error(called: Any, arguments: int) -> str | None:
+    """Return why it cannot be called with a number of arguments; None if it can, or has no signature."""
     try:
-        inspect.signature(called).bind(*self_argument, None, None)
+        inspect.signature(called).bind(*[None] * arguments)
     except TypeError as error:
         return str(error)
     except ValueError:  # some builtins have no signature
@@ -145,6 +153,10 @@ class _BoundFunction(BoundReward):
         columns = values.tolist() if values.ndim == 1 else np.moveaxis(values, -1, 0)
         result = self._evaluate(self._values(columns), begin)
         named = result if isinstance(result, Mapping) else {"reward": result}
+        if not named:
+            raise InvalidConfig(
+                f"reward: {_name(self._function)} returned no terms; a number for each of them expected"
+            )
         terms: Terms = {
             str(name): finite_term(self._function, name, term, values.shape[:-1]) for name, term in named.items()
         }
@@ -207,6 +219,8 @@ def finite_term(function: Any, name: object, term: Any, shape: tuple[int, ...] =
         InvalidConfig: it is not finite, or cannot have that shape.
     """
     try:
+        if np.asarray(term).dtype.kind in "SU":  # text, which NumPy would parse
+            raise TypeError
         array = np.broadcast_to(np.asarray(term, np.float64), shape)
     except (TypeError, ValueError, OverflowError):
         array = None

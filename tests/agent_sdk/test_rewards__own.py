@@ -230,22 +230,39 @@ class Needy:
         return -self.weight
 
 
+class Forgetful:
+    """A reward whose `reset` does not ask for the slots."""
+
+    def reset(self) -> None: ...
+
+    def __call__(self, values: Mapping[str, Any], begin: datetime) -> float:
+        return 1.0
+
+
 def test_rewards__function_or_class_that_does_not_fit() -> None:
     for function in (lambda: 0.0, lambda v: 0.0, lambda v, b, more: 0.0, type("Silent", (), {}), object):
         with pytest.raises(InvalidConfig, match=r"should take \(values, begin\)"):
             read_reward(function)
+    for reward in (Forgetful, Forgetful(), partial(Forgetful)):
+        with pytest.raises(InvalidConfig, match=r"Forgetful\.reset should take \(slots\): too many positional"):
+            read_reward(reward)
     with pytest.raises(InvalidConfig, match=r"Needy cannot be instantiated without arguments .*'weight'"):
         read_reward(Needy).bind(NODE)
     with pytest.raises(InvalidConfig, match="CarbonReward cannot be instantiated without arguments"):
         read_reward(CarbonReward)
 
 
-@pytest.mark.parametrize("term", [float("nan"), float("inf"), None, "much", [1.0, 2.0]], ids=str)
+@pytest.mark.parametrize("term", [float("nan"), float("inf"), None, "much", "1.0", [1.0, 2.0]], ids=str)
 def test_rewards__term_that_is_no_number(term: Any) -> None:
     for gives in (term, {"comfort": term}):
         name = "comfort" if isinstance(gives, dict) else "reward"
         with pytest.raises(InvalidConfig, match=f"returned .* for '{name}'; a finite number expected"):
             read_reward(lambda v, b, gives=gives: gives).bind(NODE)(values(), WINTER)
+
+
+def test_rewards__function_without_terms() -> None:
+    with pytest.raises(InvalidConfig, match="returned no terms; a number for each of them expected"):
+        read_reward(lambda v, b: {}).bind(NODE)(values(), WINTER)
 
 
 def asks_for_norht(values: Mapping[str, Any], begin: datetime) -> float:
