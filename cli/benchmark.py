@@ -120,7 +120,7 @@ def benchmark(
     if schema:
         from zenostat.lab.benchmark.results_file import schema as json_schema
 
-        out.print_json(data=json_schema())
+        show_json(json_schema())
         return
     import_extra("scipy", "benchmark", "the benchmark")
     if page is not None:

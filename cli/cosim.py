@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -15,7 +13,7 @@ from zenostat.bridge.transport.session import default_endpoint, exposure
 from zenostat.cli import node_options as options
 from zenostat.cli.console import err, out, progress
 from zenostat.cli.options import CertificateName, Keys, Loops
-from zenostat.cli.tables import show
+from zenostat.cli.tables import show, show_json
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Mode, OnFull, Policy, State
 
@@ -72,8 +70,7 @@ def cosim(
     if schema:
         from zenostat.cosim.file import json_schema
 
-        json.dump(json_schema(), sys.stdout, indent=1)
-        sys.stdout.write("\n")
+        show_json(json_schema())
         return
     if file is None:
         raise InvalidConfig("name the file of a district: zenostat cosim FILE.yaml")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
@@ -11,6 +10,7 @@ import typer
 
 from zenostat.cli.console import err, out
 from zenostat.cli.tables import show as show_table
+from zenostat.cli.tables import show_json
 from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName
 from zenostat.topics.plurals import counted
 
@@ -43,8 +43,7 @@ def listing(
 
     ids = [name for name in all_ids() if match.casefold() in name.casefold()]
     if as_json:
-        json.dump(ids, sys.stdout, indent=1)
-        sys.stdout.write("\n")
+        show_json(ids)
         return
     if match:
         packs = dict.fromkeys(pack_ids(), "pack sinergym") | {name: _pack_of_paper(name) for name in PAPER_IDS}
@@ -179,8 +178,7 @@ def schema() -> None:
 
     Example: `zenostat scenarios schema > scenario.schema.json`
     """
-    json.dump(scenario_schema(), sys.stdout, indent=1)
-    sys.stdout.write("\n")
+    show_json(scenario_schema())
 
 
 def scenario_schema() -> dict[str, Any]:

@@ -31,7 +31,7 @@ _WORDS = re.compile(r"\S+\s*")
 _PARTS = re.compile(r"[^\s_./:-]*[_./:-]*\s*")
 
 
-def show_json(data: Sequence[dict[str, Any]] | dict[str, Any]) -> None:
+def show_json(data: Sequence[Any] | dict[str, Any]) -> None:
     """Print data as JSON."""
     json.dump(data, sys.stdout, indent=1)
     sys.stdout.write("\n")
