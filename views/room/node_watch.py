@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import NodeLost, NodeNotFound, RequestRejected, ZenostatError
-from zenostat.topics.messages import Event, EventKind, Geometry, Manifest, Mode, State, Systems
+from zenostat.topics.messages import Event, EventKind, Mode, State
 from zenostat.topics.points import value_index
 from zenostat.views.room.description import NodeDescription, describe
 from zenostat.views.room.numbers import to_json
@@ -150,7 +150,9 @@ class NodeWatch:
                 sample = SampleView(latest, manifest, value_index(manifest))
             except RequestRejected:  # there is none yet
                 sample = None
-            alarms, faults = self._unless_refused(self._bus.alarms), self._unless_refused(self._bus.fault_plan)
+            # The replay of a recording takes no requests.
+            alarms = _unless(RequestRejected, self._bus.alarms, self.node)
+            faults = _unless(RequestRejected, self._bus.fault_plan, self.node)
             self.state = node_state(self.description, status, sample, alarms, faults)
             self.problem, self.has_ended = "", False
             is_stopped = status.state in _END_STATES or (status.paused and not status.steps_left)
@@ -166,13 +168,6 @@ class NodeWatch:
         except Exception as error:  # a message of a stranger must not end the thread
             self._lose(f"{type(error).__name__}: {error}")
 
-    def _unless_refused(self, ask: Callable[[str], T]) -> T | None:
-        """Return the answer of the node; None from the replay of a recording, which takes no requests."""
-        try:
-            return ask(self.node)
-        except RequestRejected:
-            return None
-
     def _lose(self, problem: str) -> None:
         self.state, self.problem = None, problem
         self._step_rate.clear()
@@ -180,19 +175,9 @@ class NodeWatch:
     def _describe(self) -> None:
         manifest = self._bus.manifest(self.node)
         if self.description is None or self.description.manifest != manifest:
-            self.description = describe(manifest, self._geometry(manifest), self._systems(manifest))
-
-    def _geometry(self, manifest: Manifest) -> Geometry | None:
-        try:
-            return self._bus.geometry(manifest.branch_of or manifest.node)
-        except ZenostatError:  # a plant without a geometry
-            return None
-
-    def _systems(self, manifest: Manifest) -> Systems | None:
-        try:
-            return self._bus.systems(manifest.branch_of or manifest.node)
-        except ZenostatError:  # a plant without systems
-            return None
+            source = manifest.branch_of or manifest.node
+            geometry = _unless(ZenostatError, self._bus.geometry, source)  # some plants have none, or no systems
+            self.description = describe(manifest, geometry, _unless(ZenostatError, self._bus.systems, source))
 
     def _publish(self) -> None:
         gone = {"node": self.node, "online": False, "problem": self.problem, "has_ended": self.has_ended}
@@ -211,3 +196,11 @@ class NodeWatch:
         """Return the simulated seconds per second; None if it is not known."""
         description = self.description
         return None if description is None else self._step_rate.rate(time.monotonic(), description.manifest.step_s)
+
+
+def _unless(refusal: type[ZenostatError], ask: Callable[[str], T], node: str) -> T | None:
+    """Return the answer of a node; None if it refuses with an error of this class."""
+    try:
+        return ask(node)
+    except refusal:
+        return None
