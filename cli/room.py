@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import getpass
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,9 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
+from zenostat.bridge.transport.session import keys_folder
 from zenostat.cli.console import out
 from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
 from zenostat.cli.token_file import read_token
+from zenostat.cli.write import user_name
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.keys import Role, safe_name
@@ -88,16 +89,18 @@ def room(
         from zenostat.views.room.server import RoomServer
         from zenostat.views.room.trial_controllers import offered_controllers
     token = None if api_token_file is None else read_token(api_token_file, "--api-token-file")
-    name = safe_name(_user())[:64] if operator is None else operator
+    name = safe_name(user_name("operator"))[:64] if operator is None else operator
     if not re.fullmatch(OPERATOR, name):
         raise InvalidConfig(
             f"--operator {name!r}: a name of up to 64 letters, digits, '_', '.' and '-' expected, such as ada.lovelace"
         )
-    tls = _tls(options.keys, page_certificate, page_key, expose=expose)
+    folder = keys_folder(options.keys)
+    keys = folder and folder.resolve()
+    tls = _tls(keys, page_certificate, page_key, expose=expose)
     settings = RoomSettings(
         scenarios=_folder("--scenarios", scenarios),
         trainings=_folder("--trainings", trainings),
-        node_settings={"connect": [options.endpoint], "keys": _key_folder(options.keys)},
+        node_settings={"connect": [options.endpoint], "keys": keys},
         controllers=offered_controllers(controller or ()),
         audit_log=audit_log,
     )
@@ -129,8 +132,7 @@ def _tls(keys: Path | None, certificate: Path | None, key: Path | None, *, expos
     """
     from zenostat.views.room.users import PageTls
 
-    folder = _key_folder(keys)
-    if certificate is None or folder is None:
+    if certificate is None or keys is None:
         if expose or certificate is not None:
             raise InvalidConfig(
                 "--expose needs --page-certificate FILE.pem, and both need --keys FOLDER with the names of users; "
@@ -139,16 +141,4 @@ def _tls(keys: Path | None, certificate: Path | None, key: Path | None, *, expos
         if key is not None:
             raise InvalidConfig("--page-key needs --page-certificate FILE.pem")
         return None
-    return PageTls(certificate, key or certificate.with_suffix(".key"), folder)
-
-
-def _key_folder(keys: Path | None) -> Path | None:
-    """Return the folder of a certificate, or of all of them."""
-    return None if keys is None else (keys.parent if keys.suffix == ".pem" else keys).resolve()
-
-
-def _user() -> str:
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):  # a user without a name, as in containers
-        return "operator"
+    return PageTls(certificate, key or certificate.with_suffix(".key"), keys)

@@ -74,8 +74,12 @@ def seconds(text: str) -> float:
 
 def person() -> str:
     """Return `user.host`, as a sender's name."""
+    return safe_name(f"{user_name('somebody')}.{socket.gethostname()}")
+
+
+def user_name(default: str) -> str:
+    """Return the name of the user; the default for one without a name, as in containers."""
     try:
-        user = getpass.getuser()
-    except (KeyError, OSError):  # a container's user may have no name
-        user = "somebody"
-    return safe_name(f"{user}.{socket.gethostname()}")
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return default
