@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any
 import msgpack
 import numpy as np
 
+from zenostat.bridge.exchange.claims import ControllerStats
 from zenostat.bridge.exchange.fallback import DISCONNECTED, RECONNECTED
 from zenostat.bridge.exchange.revocation import revoke
-from zenostat.bridge.exchange.state import MAX_SOURCE_NAME
+from zenostat.bridge.exchange.state import MAX_SOURCE_NAME, MessageCounts
 from zenostat.bridge.exchange.step_exchange import IllegalTransition, Trigger
 from zenostat.bridge.node.branches import Snapshot
 from zenostat.bridge.node.plant import RepeatablePlant
@@ -101,11 +102,19 @@ class Repetition:
         try:
             for item, following in _with_following(items, _LOOK_AHEAD):
                 self._process(item, following)
+            self._begin_counts()
         except _DAMAGE as error:
             raise self._error(f"it is damaged: {type(error).__name__}: {error}") from None
         finally:
             for snapshot in self._snapshots.values():
                 snapshot.drop()
+
+    def _begin_counts(self) -> None:
+        """Begin counts and latencies anew, except for the counts that samples contain."""
+        exchange, counts = self._exchange, self._exchange.counts
+        exchange.counts = MessageCounts(late=counts.late, rejected=counts.rejected)
+        for claimant in exchange.claims.by_name.values():
+            claimant.stats = ControllerStats()
 
     def _process(self, item: RecordedItem, following: list[RecordedItem]) -> None:
         if item.schema == "Sample":

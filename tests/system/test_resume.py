@@ -302,7 +302,9 @@ def test_resume__python_class_goes_on(scratch: Path, tank: dict[str, Any]) -> No
         NodeProgram(scratch / "changed", **tank, resume=str(path))
     (scratch / "tank.py").write_text(TANK)
     with node_on_bus(scratch / "second", **tank, resume=str(path)) as (_, bus):
-        assert bus.status("tank").step == [40]
+        status = bus.status("tank")
+        assert status.step == [40]
+        assert (status.accepted, {controller.accepted for controller in status.controllers}) == (0, {0})
         assert levels(bus, 60) == expected[40:]
     assert verify(path, plant=tank["plant"]).passed
     (scratch / "elsewhere").mkdir()
