@@ -38,7 +38,7 @@ def watch(
     options: BusOptions = DEFAULTS,
     as_json: Annotated[bool, typer.Option("--json", help="Print one line of JSON per sample.")] = False,
 ) -> None:
-    """Show a node's points as they change, with their extremes, until Ctrl-C or until the node stops.
+    """Show a node's points as they change, with their extremes, until Ctrl-C, or until the node or its link ends.
 
     With keys, it uses the monitor role.
 

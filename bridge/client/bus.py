@@ -130,7 +130,7 @@ class Bus(Connection):
 
         Raises:
             NodeNotFound: No such node.
-            NodeLost: The node is gone; raised by the iterator.
+            NodeLost: The node is gone, or the connection to it is lost; raised by the iterator.
         """
         return listen(self, node)
 

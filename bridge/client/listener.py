@@ -44,7 +44,7 @@ def listen(bus: Connection, node: str) -> Iterator[Iterator[SampleView]]:
                 message = inbox.recv()
                 key = str(message.key_expr)
                 if key == wake.key and watch.lost:
-                    raise NodeLost(f"node {node!r} is gone")
+                    raise NodeLost(f"node {node!r} is gone, or the connection to it is lost")
                 if key == keys.SAMPLE.at(node):
                     sample = codec.decode(Sample, message.payload.to_bytes(), str(message.encoding))
                     yield SampleView(sample, manifest, names)

@@ -319,17 +319,20 @@ def _bus_error(
             from zenostat.bridge.transport.tls_diagnosis import diagnose_tls
 
             return NodeNotFound("\n".join(diagnose_tls(endpoint, identity) for endpoint in connect))
-        if answerless := [endpoint for endpoint in connect if _accepts(endpoint)]:
+        failures = {endpoint: _connect_error(endpoint) for endpoint in connect}
+        if answerless := [endpoint for endpoint, failure in failures.items() if failure is None]:
             return NodeNotFound(
                 f"a program listens on {' and '.join(answerless)}, but does not answer: it is suspended, needs "
                 "--keys, or is no node or router of Zenostat"
             )
+        if unreachable := [f"{endpoint} ({failure})" for endpoint, failure in failures.items() if failure]:
+            return NodeNotFound(f"no connection to {' or '.join(unreachable)}; check the address and the network")
         return NodeNotFound(f"nobody listens on {' or '.join(connect)}; start a node there: zenostat node --help")
     return BusError(text.split(" at /")[0])
 
 
-def _accepts(endpoint: str) -> bool:
-    """Return whether a program accepts connections at an endpoint without TLS."""
+def _connect_error(endpoint: str) -> str | None:
+    """Return why no program accepts a connection at an endpoint; empty if nobody listens there, None if one does."""
     protocol, _, address = endpoint.partition("/")
     try:
         if protocol == "unixsock-stream":
@@ -339,6 +342,8 @@ def _accepts(endpoint: str) -> bool:
         else:
             host, _, port = address.rpartition(":")
             socket.create_connection((host.strip("[]"), int(port)), _CONNECT_MS / 1000).close()
-    except (OSError, ValueError):
-        return False
-    return True
+    except (ConnectionRefusedError, FileNotFoundError, ValueError):
+        return ""
+    except OSError as error:
+        return error.strerror or str(error)
+    return None

@@ -1,5 +1,6 @@
 """The tree of errors: drawn as it is, across process borders, with words that help."""
 
+import errno
 import re
 import socket
 from collections.abc import Iterator
@@ -209,6 +210,29 @@ def test_silent_program__has_an_error_of_its_own(family: int, tmp_path: Path) ->
             open_session(connect=[endpoint])
     with pytest.raises(NodeNotFound, match=rf"nobody listens on {re.escape(endpoint)}; start a node there"):
         open_session(connect=[endpoint])
+
+
+@pytest.mark.parametrize(
+    ("failure", "text"),
+    [
+        (OSError(errno.EHOSTUNREACH, "No route to host"), "No route to host"),
+        (TimeoutError("timed out"), "timed out"),
+    ],
+)
+def test_errors__address_that_cannot_be_reached_is_not_one_where_nobody_listens(
+    failure: OSError, text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise failure
+
+    monkeypatch.setattr(socket, "create_connection", fail)
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{unused.getsockname()[1]}"
+        with pytest.raises(
+            NodeNotFound, match=rf"no connection to {re.escape(endpoint)} \({text}\); check the address"
+        ):
+            open_session(connect=[endpoint])
 
 
 def test_errors__path_of_a_unix_socket_is_not_taken_over(tmp_path: Path) -> None:
