@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NoReturn, Protocol
 
 from zenostat.agent_sdk.envs import arguments
 from zenostat.agent_sdk.envs.snapshot import require_node
@@ -322,14 +323,21 @@ class NodeConnection:
                 stacklevel=stacklevel + 1,
             )
 
-    def __reduce_ex__(self, protocol: Any) -> Any:
-        """Copy or pickle the connection of a fake building; refuse those to a node."""
+    def __deepcopy__(self, memo: dict[int, Any]) -> NodeConnection:
+        """Copy the connection of a fake building; refuse those to a node."""
         if self._link is None or isinstance(self._link, ControllerLink):
-            raise UsageError(
-                "an environment of a node cannot be copied or pickled: branch() continues from its sample in a copy, "
-                "snapshot() keeps a state to return to, and zenostat.save_env describes it as a file to load"
-            )
-        return super().__reduce_ex__(protocol)
+            self.__reduce_ex__(4)
+        copied = memo[id(self)] = object.__new__(type(self))
+        copied.__dict__.update(copy.deepcopy(self.__dict__, memo))
+        return copied
+
+    def __reduce_ex__(self, protocol: Any) -> NoReturn:
+        """Refuse to be pickled."""
+        raise UsageError(
+            "an environment of a node cannot be copied or pickled, nor one of a fake building pickled: branch() "
+            "continues from its sample in a copy, snapshot() keeps a state to return to, and zenostat.save_env "
+            "describes it as a file to load"
+        )
 
     def push_exit(self, exits: AbstractContextManager[object]) -> None:
         """Exit another context manager first when the connection closes."""

@@ -1,6 +1,8 @@
 """The fake building against theory and hand calculation; the conformance kit passes what is good."""
 
+import copy
 import math
+import pickle
 import re
 from collections.abc import Callable
 from datetime import datetime, timedelta
@@ -512,3 +514,18 @@ def test_testing_kit__manifest_of_ones_own() -> None:
     assert not check_reward("linear", manifest).failed
     with pytest.raises(ConformanceError, match="equipment"):
         check_controller(lambda m: FixedSetpoints(m, equipment=0.5))
+
+
+def test_fake_env__is_copied_but_not_pickled() -> None:
+    env = FakeEnv(1)
+    env.reset(seed=0)
+    action = env.action_space.sample()
+    env.step(action)
+    copied = copy.deepcopy(env)
+    for _ in range(2):
+        observation, reward, *_ = copied.step(action)
+    env.step(action)
+    expected, expected_reward, *_ = env.step(action)
+    assert (observation.tolist(), reward) == (expected.tolist(), expected_reward)
+    with pytest.raises(UsageError, match="nor one of a fake building pickled"):
+        pickle.dumps(env)
