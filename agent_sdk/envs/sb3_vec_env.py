@@ -56,6 +56,7 @@ class SlotsVecEnv(VecEnv):  # type: ignore[misc,unused-ignore]  # without types 
         self.env = env
         self._actions: Any = None
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+        self.metadata = env.metadata
 
     def reset(self) -> Any:
         """Start an episode in each slot with the seeds of `seed()` and the options of `set_options()`, once."""
@@ -114,6 +115,10 @@ class SlotsVecEnv(VecEnv):  # type: ignore[misc,unused-ignore]  # without types 
         """Return an attribute of the outermost wrapper that has it, else of each slot."""
         if attr_name in ("observation_space", "action_space"):
             return [getattr(self, attr_name) for _ in self._get_indices(indices)]
+        if attr_name == "get_wrapper_attr":  # Gymnasium's, which wrappers around a vector do not have
+            return [lambda name, slot=slot: self.get_attr(name, slot)[0] for slot in self._get_indices(indices)]
+        if attr_name == "has_wrapper_attr":
+            return [self.has_attr for _ in self._get_indices(indices)]
         for layer in layers(self.env):
             if isinstance(layer, VectorWrapper) and hasattr(layer, attr_name) and not hasattr(VectorWrapper, attr_name):
                 return [getattr(layer, attr_name) for _ in self._get_indices(indices)]

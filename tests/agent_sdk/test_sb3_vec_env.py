@@ -98,6 +98,12 @@ def test_sb3_vec_env__attributes_and_methods_of_slots() -> None:
     assert ours.get_attr("colour", 1) == ["red"]
     weather = [env.env_method("weather", ["dry_bulb_temperature"], indices=[2]) for env in (ours, theirs)]
     assert weather[0] == weather[1]
+    for name in ("observation_names", "colour"):
+        has = [env.env_method("has_wrapper_attr", name, indices=[0, 2]) for env in (ours, theirs)]
+        assert has[0] == has[1] == [name == "observation_names"] * 2
+    names = [env.env_method("get_wrapper_attr", "observation_names") for env in (ours, theirs)]
+    assert names[0] == names[1]
+    assert ours.metadata == ours.env.metadata
     assert ours.env_is_wrapped(Monitor) == [False] * 3
     assert (ours.render_mode, ours.num_envs) == (None, 3)
 
