@@ -91,8 +91,7 @@ class WrappedPolicy(Controller):
     def seed_episode(self, seed: int) -> None:
         """Let the wrappers draw from the seed of the next episode, as in an evaluation of its training.
 
-        Without it, the first episode draws what the first one after the training would have drawn, and each further
-        one from its number.
+        Without it, each episode draws from its number, from 0 on.
         """
         self._seed = seed
 
@@ -102,8 +101,8 @@ class WrappedPolicy(Controller):
             self._link.cancel()
         self._link = _SampleQueue(self.manifest)
         torch = sys.modules.get("torch")  # loaded with a model of stable-baselines3
-        seed = self._episodes or None if self._seed is None else self._seed
-        arguments = [self._link, torch and torch.get_num_threads(), seed]
+        seed = self._episodes if self._seed is None else self._seed
+        arguments = (self._link, torch and torch.get_num_threads(), seed)
         self._seed = None
         self._episodes += 1
         threading.Thread(target=self._run, args=arguments, name="policy", daemon=True).start()
@@ -115,7 +114,7 @@ class WrappedPolicy(Controller):
         assert self._link is not None
         return self._link.exchange(sample)
 
-    def _run(self, link: _SampleQueue, torch_threads: int | None, seed: int | None) -> None:
+    def _run(self, link: _SampleQueue, torch_threads: int | None, seed: int) -> None:
         if torch_threads is not None:
             sys.modules["torch"].set_num_threads(torch_threads)  # it applies to the thread that calls it
         try:

@@ -89,7 +89,8 @@ class Forecaster:
         return np.array([15.0, np.clip(26.0 + 0.1 * observation[-2], 22.5, 30.0)], np.float32), None
 
 
-def test_policy__forecast_errors_differ_between_episodes_without_seeds(tmp_path: Path) -> None:
+@pytest.mark.parametrize("slots", [0, 2])
+def test_policy__forecast_errors_differ_between_episodes_without_seeds(tmp_path: Path, slots: int) -> None:
     """In the same weather; a new controller repeats them."""
     errors = {"dry_bulb_temperature": {"sigma": 2.0, "tau_h": 6.0}}
     chain = [{"wrapper": "WeatherForecast", "columns": ["dry_bulb_temperature"], "n": 2, "errors": errors}]
@@ -97,6 +98,8 @@ def test_policy__forecast_errors_differ_between_episodes_without_seeds(tmp_path:
         model, file = Forecaster(env), tmp_path / "wrappers.yaml"
         save_wrappers(env, file)
     states = yaml12.read_mapping(file)["wrappers"]
+    if slots:  # the state of running episodes of another number of slots is not restored
+        states = [{**state, "slots": state["slots"] * slots} for state in states]
 
     def two_episodes() -> list[list[Any]]:
         with closing(FakeEnv(**DAY)) as env:
