@@ -42,6 +42,7 @@ class CarrierBalance:
         exported: what it feeds in.
         lost: losses.
         stored: increase of what it stores; of batteries, with their losses.
+        missing_steps: number of steps in which one of the measured powers had no value, which all terms leave out.
     """
 
     plant: str
@@ -51,6 +52,13 @@ class CarrierBalance:
     exported: float | None = None
     lost: float | None = None
     stored: float | None = None
+    missing_steps: int = 0
+
+    @property
+    def label(self) -> str:
+        """The carrier, with the number of steps that are left out, if any."""
+        missing = self.missing_steps
+        return f"{self.carrier} (steps without a value: {missing})" if missing else self.carrier
 
     @property
     def closure(self) -> float | None:
@@ -162,25 +170,28 @@ def _balances(plant: str, part: Trajectory) -> list[CarrierBalance]:
         return [_heat(plant, part), *(_metered(plant, part, meter) for meter in part.manifest.meters)]
     values = part.fault_free_values[1:]
     return [
-        CarrierBalance(plant, fuel.fuel, consumed=_sum(values[:, fuel.index] * fuel.to_kw * part.step_h))
+        _balance(plant, fuel.fuel, consumed=[values[:, fuel.index] * fuel.to_kw * part.step_h])
         for fuel in roles(part.manifest).fuels
     ]
+
+
+def _balance(plant: str, carrier: str, **terms: Sequence[Floats]) -> CarrierBalance:
+    """Return a balance whose terms are the sums of these energies of the timesteps, kWh."""
+    is_missing = np.isnan([energies for term in terms.values() for energies in term]).any(axis=0)
+    totals = {name: fsum(float(energies[~is_missing].sum()) for energies in term) for name, term in terms.items()}
+    return CarrierBalance(plant, carrier, missing_steps=int(is_missing.sum()), **totals)
 
 
 def _metered(plant: str, part: Trajectory, meter: Meter) -> CarrierBalance:
     """Return the consumption of a meter in J that has the name of its carrier."""
     joules = part.fault_free_values[1:, part.manifest.names.index(meter.name)]
-    return CarrierBalance(plant, meter.name.replace("_", " "), consumed=_sum(joules) / 3.6e6)
+    return _balance(plant, meter.name.replace("_", " "), consumed=[joules / 3.6e6])
 
 
-def _sum(kwh: Floats) -> float:
-    return float(np.nansum(kwh))
-
-
-def _reader(part: Trajectory) -> Callable[[str], Floats]:
-    """Return a function that returns a power in W as the energies of the timesteps in kWh."""
+def _reader(part: Trajectory) -> Callable[[Sequence[str]], list[Floats]]:
+    """Return a function that returns powers in W as the energies of the timesteps in kWh."""
     names = part.manifest.names
-    return lambda name: part.fault_free_values[1:, names.index(name)] * part.step_h / 1e3
+    return lambda points: [part.fault_free_values[1:, names.index(name)] * part.step_h / 1e3 for name in points]
 
 
 def _grid(plant: str, part: Trajectory) -> CarrierBalance:
@@ -189,30 +200,26 @@ def _grid(plant: str, part: Trajectory) -> CarrierBalance:
     batteries = [name for name in devices if f"{name}_state_of_charge" in names]
     generation = [name for name in devices if f"{name}_available" in names]
     rest = [name for name in devices if name not in (*batteries, *generation)]
-
-    def total(points: Sequence[str]) -> float:
-        return sum(_sum(kwh(point)) for point in points)
-
-    return CarrierBalance(
+    return _balance(
         plant,
         "electricity",
-        supplied=total(["import", *(f"{name}_power" for name in generation)]),
-        consumed=total([f"{name}_power" for name in rest]),
-        exported=total(["export"]),
-        lost=total(["losses"]),
-        stored=total([f"{name}_power" for name in batteries]),
+        supplied=kwh(["import", *(f"{name}_power" for name in generation)]),
+        consumed=kwh([f"{name}_power" for name in rest]),
+        exported=kwh(["export"]),
+        lost=kwh(["losses"]),
+        stored=kwh([f"{name}_power" for name in batteries]),
     )
 
 
 def _heat(plant: str, part: Trajectory) -> CarrierBalance:
     kwh, names = _reader(part), part.manifest.names
     consumers = [name.removesuffix("_unmet") for name in names if name.endswith("_unmet")]
-    return CarrierBalance(
+    return _balance(
         plant,
         "heat",
-        supplied=_sum(kwh("source_heat")),
-        consumed=sum(_sum(kwh(f"{name}_heat")) for name in consumers),
-        exported=0.0,
-        lost=_sum(kwh("tank_loss")) + _sum(kwh("pipe_loss")),
-        stored=_sum(kwh("tank_charge")),
+        supplied=kwh(["source_heat"]),
+        consumed=kwh([f"{name}_heat" for name in consumers]),
+        exported=[],
+        lost=kwh(["tank_loss", "pipe_loss"]),
+        stored=kwh(["tank_charge"]),
     )

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite
+from math import isfinite, isnan
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,7 +105,7 @@ def points_of(manifest: Manifest, generation: Sequence[str] = ()) -> DistrictPoi
 def district_kpis(
     trajectory: Trajectory, points: DistrictPoints | None = None, *, emissions_kg_kwh: float | None = None
 ) -> dict[str, float | None]:
-    """Return the KPIs of a run by the names of `DISTRICT_KPIS`; None where the points or a factor are missing.
+    """Return the KPIs of a run by the names of `DISTRICT_KPIS`; None where points, a factor or values are missing.
 
     Args:
         trajectory: of the district, from sample 0 on; values without injected faults count.
@@ -145,9 +145,10 @@ def district_kpis(
         kpis["self_consumption"] = 1.0 - float(fed_in.sum()) / generated if generated > 0.0 else None
     if points.limits:
         ratios = np.array([rows[:, _column(manifest, name)] / high for name, high in points.limits.items()])
-        kpis["limit_exceeded_h"] = float((ratios > 1.0).any(axis=0).sum()) * step_s / 3600.0
+        is_above = np.where(np.isnan(ratios), np.nan, ratios > 1.0)
+        kpis["limit_exceeded_h"] = float(is_above.max(axis=0).sum()) * step_s / 3600.0
         kpis["limit_excess"] = float(ratios.max())
-    return kpis
+    return {name: None if value is None or isnan(value) else value for name, value in kpis.items()}
 
 
 def relative(kpis: Mapping[str, float | None], baseline: Mapping[str, float | None]) -> dict[str, float | None]:

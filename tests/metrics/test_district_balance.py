@@ -111,6 +111,19 @@ def test_district_balances__grid_by_hand() -> None:
     assert CarrierBalance("g", "electricity", 10.0, 7.0, 1.0, 0.5, 0.5).closure == pytest.approx(0.1)
 
 
+def test_district_balances__steps_without_a_value_are_left_out_of_all_terms_and_counted() -> None:
+    gap = GRID | {"import": ("W", [9e3, 4000.0, np.nan, 0.0])}
+    run = district({"shop": SHOP, "grid": gap}, {"shop.electricity_facility": [9e9, np.nan, 3.6e6, np.nan]})
+    shop, grid = district_balances(run)
+    assert shop == CarrierBalance("shop", "electricity", consumed=pytest.approx(1.0), missing_steps=2)
+    assert [grid.supplied, grid.consumed, grid.exported, grid.lost, grid.stored] == pytest.approx(
+        [2.5, 2.0, 0.0, 0.1, 0.4]
+    )
+    assert (grid.closure, grid.missing_steps) == (pytest.approx(0.0, abs=1e-12), 1)
+    text = district_section(Comparison((Run("rule", (), run),)))
+    assert "<td>electricity (steps without a value: 2)</td>" in text
+
+
 @pytest.mark.parametrize("source", ["boiler", "heat_pump"])
 def test_district_balances__heat_network_closes(source: str) -> None:
     """A day with random demands and setpoints, by the class itself."""

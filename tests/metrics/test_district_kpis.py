@@ -106,6 +106,20 @@ def test_district_kpis__what_is_not_known_is_none() -> None:
     assert district_kpis(flat(-1.0, -2.0), POINTS)["daily_one_minus_load_factor_average"] is None
 
 
+def test_district_kpis__without_a_value_of_a_step_are_none() -> None:
+    complete = run((0.0, 0.1, 0.0, 0.0, 1.0), (2.0, 0.1, 60.0, 0.0, 1.0), (3.0, 0.1, 40.0, 0.0, 1.0))
+    unknown = dict[str, set[str]]()
+    for point in ("g.import", "g.price", "g.loading"):
+        values = complete.values.copy()
+        values[1, list(UNITS).index(point)] = np.nan
+        kpis = district_kpis(replace(complete, values=values, fault_free_values=values), POINTS, emissions_kg_kwh=0.4)
+        unknown[point] = {name for name, value in kpis.items() if value is None}
+    of_limits = {"limit_exceeded_h", "limit_excess"}
+    assert unknown["g.import"] == {*DISTRICT_KPIS} - of_limits - {"self_consumption"}
+    assert unknown["g.price"] == {"cost_total"}
+    assert unknown["g.loading"] == of_limits
+
+
 def test_relative__is_the_ratio_to_the_baseline() -> None:
     ratios = relative({"a": 3.0, "b": 0.0, "c": 1.0, "d": None}, {"a": 4.0, "b": 0.0, "c": 0.0, "d": 1.0})
     assert ratios == {"a": 0.75, "b": 1.0, "c": None, "d": None}

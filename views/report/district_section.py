@@ -63,7 +63,7 @@ def _balances(run: Run, *, is_single: bool) -> str:
 def _balance_row(balance: CarrierBalance) -> list[str]:
     energies = [getattr(balance, name) for name in _ENERGIES]
     closure = NONE if balance.closure is None else f"{balance.closure:.1e}"
-    return [balance.plant, balance.carrier, *(NONE if kwh is None else number(kwh) for kwh in energies), closure]
+    return [balance.plant, balance.label, *(NONE if kwh is None else number(kwh) for kwh in energies), closure]
 
 
 def _connections(run: Run, *, is_single: bool) -> str:
