@@ -192,7 +192,9 @@ def _check_point_names(plant: str, manifest: Manifest, errors: FileErrors) -> No
         length = len(f"{plant}.{name}")
         if length > MAX_POINT_NAME:
             text = f"its point {plant}.{name} would have a name of {length} characters, of which there are at most "
-            errors.add(("plants", plant), f"{text}{MAX_POINT_NAME}; give plant {plant!r} a shorter name")
+            rest = MAX_POINT_NAME - len(f".{name}")
+            advice = f"give plant {plant!r} a name of at most {rest}" if rest > 0 else "give the point a shorter name"
+            errors.add(("plants", plant), f"{text}{MAX_POINT_NAME}; {advice}")
 
 
 def _markets(file: DistrictFile, members: Mapping[str, Member], errors: FileErrors) -> dict[str, Market]:

@@ -24,6 +24,8 @@ _UNBOUNDED = 1e60
 UNIT_NAMES = {"": "1", "-": "1", "%": "percent"}
 """Names on the bus of units that have another one in FMUs."""
 _VALUE, _ACTIVATION = "_u", "_activate"
+_MAX_NAME = 96
+"""Longest name of a point: those of a bus have up to 128 characters, in a district together with that of the plant."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,11 +63,14 @@ class Variable:
 
 
 def point_name(name: str) -> str:
-    """Return a variable's name as that of a point: `T[2]` becomes `T.2`, `der(T)` `der.T`, and `'-x'` `x`."""
+    """Return a variable's name as that of a point: `T[2]` becomes `T.2`, `der(T)` `der.T`, and `'-x'` `x`.
+
+    Of a long name the first 96 characters remain.
+    """
     text = re.sub(r"[\[(,]", ".", name)
     text = re.sub(r"[\])'\s]", "", text)
     text = re.sub(r"[^0-9A-Za-z_.-]", "_", text)
-    return re.sub(r"\.{2,}", ".", text).lstrip("-.").rstrip(".")[:128] or "_"
+    return re.sub(r"\.{2,}", ".", text).lstrip("-.")[:_MAX_NAME].rstrip(".") or "_"
 
 
 class PointNames:
@@ -83,7 +88,7 @@ class PointNames:
         base = text = point_name(name)
         number = 2
         while text in self._used:
-            text, number = f"{base[:120]}_{number}", number + 1
+            text, number = f"{base[: _MAX_NAME - 8]}_{number}", number + 1
         self._used.add(text)
         return text
 

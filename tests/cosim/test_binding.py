@@ -167,12 +167,14 @@ def test_run_period__plant_that_begins_at_another_time_of_the_year_is_a_warning(
 
 
 def test_binding__points_names_are_not_too_long_with_that_of_their_plant(folder: Path) -> None:
-    long = "x" * 127
+    long, head = "x" * 127, "FILE:3: its point"
     text = error_of(folder, "", b={"actuators": {long: ("1", None, None)}})
-    assert text == (
-        f"FILE:3: its point b.{long} would have a name of 129 characters, of which there are at most 128; give plant "
-        "'b' a shorter name"
-    )
+    rest = "characters, of which there are at most 128; give"
+    assert text == f"{head} b.{long} would have a name of 129 {rest} the point a shorter name"
+    file = district_file(folder, TEXT.replace("  b:", "  house:") + "  []\n")
+    manifests = {"a": manifest_of(POINTS, {}), "house": manifest_of({long[:123]: "1"}, {})}
+    with pytest.raises(InvalidConfig, match=f"would have a name of 129 {rest} plant 'house' a name of at most 4$"):
+        bind(file, check_file(file), manifests)
 
 
 def test_binding__plant_with_several_slots_is_refused(folder: Path) -> None:

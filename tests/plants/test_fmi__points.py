@@ -64,7 +64,7 @@ def test_fmu__overwrite_pair_that_is_set_to_active_stays_so(tank: Path) -> None:
     [
         ("T", "T"), ("zone.T[2]", "zone.T.2"), ("k[1,2].x", "k.1.2.x"), ("der(der(x))", "der.der.x"),
         ("heißes Wasser", "hei_esWasser"), ("a'b", "ab"), ("_block1.y", "_block1.y"), ("'-power'", "power"),
-        ("-.x-", "x-"), ("-", "_"),
+        ("-.x-", "x-"), ("-", "_"), ("a" * 95 + "[1].x", "a" * 95),
     ],
 )  # fmt: skip
 def test_point_name__has_only_characters_of_a_topic(name: str, point: str) -> None:
@@ -74,6 +74,8 @@ def test_point_name__has_only_characters_of_a_topic(name: str, point: str) -> No
 def test_point_names__equal_names_are_numbered() -> None:
     names = PointNames()
     assert [names.add(name) for name in ("a[1]", "a.1", "a(1)", "b")] == ["a.1", "a.1_2", "a.1_3", "b"]
+    long = [names.add("a" * 200 + end) for end in "xy"]
+    assert (len({*long}), max(map(len, long))) == (2, 96)
 
 
 def test_fmu__observed_variable_is_a_sensor(tank: Path) -> None:
