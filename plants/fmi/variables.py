@@ -102,7 +102,7 @@ def outputs(description: Any, observed: Sequence[str], names: PointNames) -> lis
         names: names of points so far.
 
     Raises:
-        InvalidConfig: there is no such variable, or it is not a number; or a bound is none.
+        InvalidConfig: there is no such variable, or it is an input or not a number; or a bound is none.
     """
     by_name = {variable.name: variable for variable in description.modelVariables}
     for name in observed:
@@ -110,6 +110,8 @@ def outputs(description: Any, observed: Sequence[str], names: PointNames) -> lis
             raise InvalidConfig(f"observe: the FMU has no variable {name!r}; {did_you_mean(name, list(by_name))}")
         if by_name[name].type not in NUMERIC:
             raise InvalidConfig(f"observe: {name!r} is a {by_name[name].type}; a number or a Boolean expected")
+        if by_name[name].causality == "input":
+            raise InvalidConfig(f"observe: {name!r} is an input; its value is the effective one of its actuator")
     chosen = [v for v in by_name.values() if v.type in NUMERIC and (v.causality == "output" or v.name in observed)]
     return [_variable(variable, description, names) for variable in chosen]
 

@@ -194,6 +194,7 @@ def test_fmu__start_values_of_parameters_and_inputs_are_set(tank: Path) -> None:
         ({"set": {"heat": [1.0, 2.0]}}, "1 value expected"),
         ({"set": {"los": 1.0, "heat": -1.0}}, "los(?s:.*)heat = -1.0: out of bounds"),
         ({"observe": ["Q"]}, "observe: the FMU has no variable 'Q'"),
+        ({"observe": ["heat"]}, "observe: 'heat' is an input; its value is the effective one of its actuator"),
         ({"observe": [1]}, r"observe = \[1\]: a list of names expected"),
         ({"observe": 1}, "observe = 1: a list of names expected"),
         ({"tolerance": "tight"}, "tolerance = 'tight': a number expected"),
