@@ -201,14 +201,13 @@ def _check_markets(file: DistrictFile, errors: FileErrors) -> None:
                 plants = [p for p, spec in file.spec.plants.items() if spec.market is None]
                 errors.add(location, f"{bidder.demand}: no plant {other!r}; {did_you_mean(other, plants)}")
                 continue
-            sources = {plant_of(c.source): c for c in direct if plant_of(c.target) == other}
-            if name not in sources:
+            sources = [(plant_of(c.source), c.location) for c in direct if plant_of(c.target) == other]
+            if name not in dict(sources):
                 errors.add(location, f"the price does not reach {other!r}: a connection from {name}.price is missing")
-            for source in sorted(sources.keys() - {name}):
-                errors.add(
-                    sources[source].location,
-                    f"{other!r} bids before {source!r} is simulated; give this connection `delay: 1`",
-                )
+            for source, line in sources:
+                if source != name:
+                    text = f"{other!r} bids before {source!r} is simulated; give this connection `delay: 1`"
+                    errors.add(line, text)
 
 
 def _order(file: DistrictFile, errors: FileErrors) -> Topology:

@@ -201,6 +201,13 @@ def test_market__limit_is_an_actuator_and_a_market_that_does_not_clear_says_so(f
     )
 
 
+def test_market__each_input_without_a_delay_of_a_bidder_is_named(folder: Path) -> None:
+    entries = "to: b.price}\n  - {from: a.x, to: b.need, sum: true}\n  - {from: a.x, to: b.need, sum: true, name: c}"
+    with pytest.raises(InvalidConfig) as caught:
+        opened(folder, FILE.format(limit=1800, bids="trials").replace("to: b.price}", entries))
+    assert [line for line in (11, 12) if f"yaml:{line}: 'b' bids before 'a'" in str(caught.value)] == [11, 12]
+
+
 @pytest.mark.parametrize(
     ("old", "new", "text"),
     [
