@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from zenostat.bridge.transport.session import default_endpoint, exposure
+from zenostat.bridge.transport.session import default_endpoint
 from zenostat.cli import node_options as options
 from zenostat.cli.console import err, out, progress
 from zenostat.cli.options import CertificateName, Keys, Loops
@@ -108,7 +108,7 @@ def cosim(
 
 
 def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool, once: bool) -> None:
-    from zenostat.cli.node import ProgressBar, greeting, start
+    from zenostat.cli.node import ProgressBar, start
     from zenostat.cosim.node import district_node, read_settings
 
     config = read_settings(settings)
@@ -122,13 +122,8 @@ def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool, once: bool) ->
         return
     with progress() as bars, ExitStack() as stack:
         watch = _Watch(ProgressBar(bars, config.name or config.district.stem), once=once)
-        print_line = bars.console.print
         create = partial(district_node, observer=watch, program=True, check_reward=check_reward)
-        node = start(stack, config, create, is_endpoint_explicit=is_endpoint_explicit, print_line=print_line)
-        bars.console.print(greeting(node, ", ".join(node.settings.listen or node.settings.connect)))
-        exposed = exposure(node.settings.listen, config.keys)
-        for warning in filter(None, (*node.manifest.warnings, exposed, node.certificate_warning)):
-            out.warning(warning)
+        node = start(stack, config, create, is_endpoint_explicit=is_endpoint_explicit)
         node.serve()
         plant: DistrictPlant = node.plant  # type: ignore[assignment]
         failure, elapsed_s = node.server.failure, node.exchange.step[0] * node.manifest.step_s

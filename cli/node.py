@@ -208,17 +208,12 @@ def _serve(config: NodeSettings, create: Callable[..., Node], *, is_endpoint_exp
     """Run the node until it ends, with a progress bar, and print its statistics."""
     with progress() as bars, ExitStack() as stack:
         observer = ProgressBar(bars, config.name)
-        print_line = bars.console.print
         create = partial(create, observer=observer, program=True)
-        running = start(stack, config, create, is_endpoint_explicit=is_endpoint_explicit, print_line=print_line)
+        running = start(stack, config, create, is_endpoint_explicit=is_endpoint_explicit)
         observer.recording = lambda: running.recording
         observer.warning = lambda: running.namesake_warning
-        bars.console.print(greeting(running, ", ".join(running.settings.listen or running.settings.connect)))
-        exposed = exposure(running.settings.listen, config.keys)
-        for warning in filter(None, (*running.manifest.warnings, exposed, running.certificate_warning)):
-            out.warning(warning)
         if running.recording is not None:
-            print_line(f"{config.name}: {describe_recording(running.recording)}")
+            out.print(f"{config.name}: {describe_recording(running.recording)}")
         if out.is_json:
             running.server.on_event = partial(_log_event, config.name)
         running.serve()
@@ -251,26 +246,29 @@ def _read(settings: dict[str, Any]) -> tuple[NodeSettings, Callable[..., Node]]:
     return read_config(settings), energyplus_node
 
 
-def start(
-    stack: ExitStack,
-    config: NodeSettings,
-    create: Callable[..., Node],
-    *,
-    is_endpoint_explicit: bool,
-    print_line: Callable[[str], None],
-) -> Node:
-    """Start the node; if the default endpoint is in use, connect to the node that listens there instead.
+def start(stack: ExitStack, config: NodeSettings, create: Callable[..., Node], *, is_endpoint_explicit: bool) -> Node:
+    """Start the node, and print what it simulates, where it listens and its warnings.
+
+    If the default endpoint is in use, it connects to the node that listens there instead.
 
     Args:
         stack: closes the node.
         config: settings of the node.
         create: creates the node from its settings.
         is_endpoint_explicit: whether the user named the endpoint to listen on.
-        print_line: prints one line.
 
     Raises:
         AddressInUse: the user named an endpoint that is in use, or the program at the default endpoint is no node.
     """
+    node = _start(stack, config, create, is_endpoint_explicit=is_endpoint_explicit)
+    out.print(greeting(node, ", ".join(node.settings.listen or node.settings.connect)))
+    exposed = exposure(node.settings.listen, config.keys)
+    for warning in filter(None, (*node.manifest.warnings, exposed, node.certificate_warning)):
+        out.warning(warning)
+    return node
+
+
+def _start(stack: ExitStack, config: NodeSettings, create: Callable[..., Node], *, is_endpoint_explicit: bool) -> Node:
     try:
         return stack.enter_context(create(config))
     except AddressInUse as error:
@@ -282,7 +280,7 @@ def start(
             running = stack.enter_context(create(joined))
         except NodeNotFound:
             raise error from None
-    print_line(
+    out.print(
         f"{', '.join(config.listen)} is in use by another program, so {config.name} does not listen; it shares the bus "
         f"at {', '.join(endpoints)}. For a separate bus, listen on another port: --listen tcp/127.0.0.1:7448"
     )
