@@ -191,9 +191,8 @@ def _schedules(model: str, names: str, weather: str, target: str) -> None:
 
 def _simulate(model: str, weather: str, target: str) -> None:
     """Simulate a model to its end; EnergyPlus's reports are in the folder of the target, an empty file."""
-    if sys.platform.startswith("linux"):  # a long run must not outlive the process that waits for it
-        set_parent_death_signal = 1
-        ctypes.CDLL(None).prctl(set_parent_death_signal, signal.SIGKILL)
+    set_parent_death_signal = 1  # a long run must not outlive the process that waits for it
+    ctypes.CDLL(None).prctl(set_parent_death_signal, signal.SIGKILL)
     api = new_api()
     state = api.state_manager.new_state()
     api.runtime.set_console_output_status(state, False)

@@ -12,7 +12,6 @@ import signal
 import socket
 import stat
 import struct
-import sys
 import termios
 from contextlib import suppress
 from typing import Any, NoReturn
@@ -46,16 +45,15 @@ def leave(code: int) -> NoReturn:
 
 
 def die_with_parent(parent: int) -> None:
-    """Make the kernel kill this process when the node ends, in whatever way (Linux only).
+    """Make the kernel kill this process when the node ends, in whatever way.
 
     SIGKILL is the only signal that also ends a process that is stopped or deep in EnergyPlus. A forked child does not
     inherit the setting.
     """
-    if sys.platform.startswith("linux"):
-        set_parent_death_signal = 1
-        ctypes.CDLL(None).prctl(set_parent_death_signal, signal.SIGKILL)
-        if os.getppid() != parent:
-            leave(0)
+    set_parent_death_signal = 1
+    ctypes.CDLL(None).prctl(set_parent_death_signal, signal.SIGKILL)
+    if os.getppid() != parent:
+        leave(0)
 
 
 def lead_session() -> None:

@@ -24,7 +24,6 @@ from zenostat.bridge.recording.audit_chain import AuditChain
 from zenostat.bridge.recording.channels import AUDIT, CHANNELS, ORDERS, OTHERS, SENDERS
 from zenostat.bridge.recording.chunk_writer import ChunkWriter
 from zenostat.bridge.recording.file import file_digest
-from zenostat.bridge.runtime.affinity import supported
 from zenostat.topics import VERSION, codec, keys, recording
 from zenostat.topics.messages import (
     SCHEMA_VERSION,
@@ -249,7 +248,7 @@ class Recorder:
     # The thread that writes
 
     def _run(self) -> None:
-        if self._cpus and supported():
+        if self._cpus:
             os.sched_setaffinity(0, self._cpus)  # not only the node's own core
         try:
             self._write_all()

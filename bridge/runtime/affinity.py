@@ -13,7 +13,6 @@ from __future__ import annotations
 import itertools
 import os
 import socket
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -36,11 +35,6 @@ class Affinity(StrEnum):
     OFF = "off"
 
 
-def supported() -> bool:
-    """Return whether this operating system supports CPU affinity."""
-    return hasattr(os, "sched_setaffinity")
-
-
 def host() -> str:
     """Return an identifier of this machine and its last boot; affinity is only meaningful within one machine."""
     try:
@@ -51,13 +45,13 @@ def host() -> str:
 
 
 def allowed() -> tuple[int, ...]:
-    """Return the cores that the calling thread may use; empty if this system does not support affinity."""
-    return tuple(sorted(os.sched_getaffinity(0))) if supported() else ()
+    """Return the cores that the calling thread may use."""
+    return tuple(sorted(os.sched_getaffinity(0)))
 
 
 def pick_cores(wanted: Affinity) -> tuple[int | None, int | None]:
     """Return the cores of the next engine and its node, round-robin over this process's cores; None: no placement."""
-    if wanted is Affinity.OFF or not supported():
+    if wanted is Affinity.OFF:
         return None, None
     cores = sorted(os.sched_getaffinity(0))
     if len(cores) < 2:
@@ -69,7 +63,7 @@ def pick_cores(wanted: Affinity) -> tuple[int | None, int | None]:
 
 def set_affinity(core: int | None) -> None:
     """Set the core of the calling thread and of all threads and processes that it starts from now on."""
-    if core is not None and supported():
+    if core is not None:
         os.sched_setaffinity(0, {core})
 
 
@@ -79,14 +73,13 @@ def lower_priority() -> None:
     Monitors call it once their Zenoh session is open, so that the session's own threads keep receiving in time. A nice
     value of 10 is the highest without loss: at 19, a year in free mode on two cores lost 65 of 35,040 samples.
     """
-    if sys.platform.startswith("linux"):
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _LOW_PRIORITY)
+    os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _LOW_PRIORITY)
 
 
 @contextmanager
 def threads_started_on(core: int | None) -> Iterator[None]:
     """Set the core of threads started within this context; the calling thread's affinity is restored."""
-    if core is None or not supported() or core not in os.sched_getaffinity(0):
+    if core is None or core not in os.sched_getaffinity(0):
         yield
         return
     before = os.sched_getaffinity(0)

@@ -11,7 +11,6 @@ from __future__ import annotations
 import ctypes
 import mmap
 import os
-import sys
 from collections.abc import Iterator
 
 from zenostat.eplus_node.engine.huge_pages import HUGE_PAGE, anonymous_regions, use_huge_pages
@@ -78,7 +77,7 @@ class SaturationCache:
         Args:
             state: address of EnergyPlus's state.
         """
-        blocks = list(_blocks(state)) if sys.platform.startswith("linux") else []
+        blocks = list(_blocks(state))
         if len(blocks) != 1 or not _is_unused(blocks[0][1]):
             return None
         pointer, old = blocks[0]

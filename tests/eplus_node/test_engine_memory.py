@@ -5,7 +5,6 @@
 
 import ctypes
 import mmap
-import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -25,8 +24,6 @@ libc = ctypes.CDLL(None)
 libc.calloc.restype, libc.calloc.argtypes = ctypes.c_void_p, (ctypes.c_size_t, ctypes.c_size_t)
 libc.free.argtypes = (ctypes.c_void_p,)
 libc.munmap.argtypes = (ctypes.c_void_p, ctypes.c_size_t)
-
-pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="caches are shrunk on Linux only")
 
 
 def _words(begin: int, length: int) -> ctypes.Array[ctypes.c_int64]:
