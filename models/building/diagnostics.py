@@ -253,6 +253,6 @@ def check_meters(building: _Model, meters: Sequence[str]) -> None:
     """
     if errors := [each for each in meter_findings(building.objects, meters) if each.is_fatal]:
         source = read_source(Path(building.file)) if building.file else None
-        found = [Diagnostic(Severity.ERROR, each.kind, each.name, each.field, each.text) for each in errors]
+        diagnostics = [Diagnostic(Severity.ERROR, each.kind, each.name, each.field, each.text) for each in errors]
         file = building.file or building.name
-        raise InvalidConfig(describe([_located(each, source) for each in found], file, verdict()))
+        raise InvalidConfig(describe([_located(each, source) for each in diagnostics], file, verdict()))
