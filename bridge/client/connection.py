@@ -193,7 +193,8 @@ class Connection:
                 f"the node {node!r} on {self.endpoint} did not take the request: it has just started, or does not "
                 "offer it"
             )
-        raise NodeNotFound(f"no node {node!r} on {self.endpoint}; {did_you_mean(node, known)}")
+        revoked = f", or they have revoked {self.identity}" if self.identity and not known else ""
+        raise NodeNotFound(f"no node {node!r} on {self.endpoint}; {did_you_mean(node, known)}{revoked}")
 
     def _signed(self, request: Message) -> tuple[Message, str]:
         """Return a request with its sender's name, and that name: below the one in the certificate."""

@@ -249,6 +249,8 @@ class Gateway:
         del self._nodes[node.name]
         self._queues.lost(node)
         if not node.stopped:
+            if self._identity:
+                self._notices.add(f"{node.name}: gone, or it has revoked {self._identity}")
             error = NodeLost(f"node {node.name!r} is gone")
             event = Event(kind=EventKind.FAILED, text=str(error), error=errors.to_wire(error)["error"])
             self._publish(BusMessage(keys.EVENT.at(node.name), codec.encoding(Event), codec.encode(event)))
@@ -316,7 +318,8 @@ class Gateway:
 
     def _process(self, request: Request) -> None:
         if request.node not in self._nodes:
-            why = f"no node {request.node!r} on the bus; {did_you_mean(request.node, self._nodes)}"
+            revoked = f", or they have revoked {self._identity}" if self._identity and not self._nodes else ""
+            why = f"no node {request.node!r} on the bus; {did_you_mean(request.node, self._nodes)}{revoked}"
             self._answer(request, denied(NodeNotFound(why)))
         elif request.row in (keys.COMMAND_REQUEST, keys.CLAIM):
             self._queues.take(request)

@@ -20,7 +20,7 @@ from zenostat.bridge.transport.certificates import add
 from zenostat.bridge.transport.deny_list import REVOKED, read_revoked, revoke, shut_down
 from zenostat.bridge.transport.session import Mode, open_session
 from zenostat.topics import codec, keys
-from zenostat.topics.errors import InvalidConfig, RequestRejected, UnknownName, UsageError
+from zenostat.topics.errors import InvalidConfig, NodeNotFound, RequestRejected, UnknownName, UsageError
 from zenostat.topics.keys import Role
 from zenostat.topics.messages import (
     Claim,
@@ -204,6 +204,11 @@ def test_revoked_name__has_no_rules_once_a_node_has_started(tmp_path: Path) -> N
         for name, replies in (("monitor", 0), ("operator", 1)):
             with open_session(connect=[endpoint], keys=pki, certificate=name) as session:
                 assert len(list(session.get(keys.STATUS.at("room"), timeout=30))) == replies
+        with (
+            zenostat.connect(endpoint, keys=pki / "monitor.pem", affinity="off") as bus,
+            pytest.raises(NodeNotFound, match=r"no node 'room' on .*; there are none, or they have revoked monitor"),
+        ):
+            bus.status("room")
 
 
 def test_access__controller_ends_its_own_branches_and_drops_its_own_snapshots_only(

@@ -7,8 +7,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support.certificates import house_keys
 from support.nodes import NodeProgram, free_port
 
+import zenostat
 from zenostat import Bus
 
 pytest.importorskip("zmq", reason="pyzmq is not installed")
@@ -91,3 +93,16 @@ def test_zeromq_gateway__clients_send_under_the_name_of_its_certificate(
         assert done.stdout.startswith(f"{STEPS} timesteps to 2017-07-04T00:00:00")
         sample = bus.read("office")
         assert (sample.step, sample.value_source[SETPOINT]) == (STEPS, "gateway.mine")
+
+
+@pytest.mark.slow
+def test_zeromq_gateway__names_revocation_as_a_reason_why_it_has_no_node(scratch: Path, tmp_path: Path) -> None:
+    (scratch / "room.py").write_text(PLANT)
+    folder, listen = house_keys(tmp_path / "keys"), [f"tls/127.0.0.1:{free_port()}"]
+    with (
+        NodeProgram(scratch / "own", plant=f"{scratch}/room.py:Room", listen=listen, keys=str(folder)) as node,
+        GatewayProgram(node.endpoint, "--keys", str(folder)) as running,
+        zenostat.connect(node.endpoint, keys=folder / "operator.pem", affinity="off") as operator,
+    ):
+        operator.revoke("office", "gateway")
+        assert running.process.stderr.readline() == "office: gone, or it has revoked gateway\n"
