@@ -8,7 +8,7 @@ import time
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import AbstractAsyncContextManager, AsyncExitStack
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeVar
 
 import typer
 
@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     import zenoh
 
     from zenostat.gateways.node_client import NodeClient
+    from zenostat.topics.messages import Manifest
+
+T = TypeVar("T")
 
 _RETRY_S = 1.0
 _RELINQUISH_S = 2.0
@@ -74,37 +77,54 @@ def zeromq(
     clients = clients_of(None, allow, is_exposed=not is_local(command), name_themselves=True)
     served = "all nodes" if node == "*" else f"node {node}"
 
-    waiting = _Waiting(wait)
-    while True:
-        try:
-            opened = options.open_session(Role.GATEWAY)
-            with (
-                opened as session,
-                Gateway(
-                    session,
-                    node,
-                    publish=publish,
-                    command=command,
-                    lease_s=lease,
-                    expose=expose,
-                    identity=opened.name,
-                    clients=clients,
-                    notify=notify,
-                ) as running,
-                override_signals(lambda *_: running.stop(), *TERMINATION_SIGNALS),
-            ):
-                addresses = f"samples on {running.publish}, requests on {running.command}"
-                may = f"; {clients.description}" if clients.is_restricted else ""
-                out.print(f"ready: {served} of {options.endpoint}; {addresses}{may}; press Ctrl-C to stop")
-                running.run()
-            break
-        except NodeNotFound as error:
-            waiting.report(error)
-        time.sleep(_RETRY_S)
-    counts = running.counts
+    def run() -> Gateway:
+        opened = options.open_session(Role.GATEWAY)
+        with (
+            opened as session,
+            Gateway(
+                session,
+                node,
+                publish=publish,
+                command=command,
+                lease_s=lease,
+                expose=expose,
+                identity=opened.name,
+                clients=clients,
+                notify=notify,
+            ) as running,
+            override_signals(lambda *_: running.stop(), *TERMINATION_SIGNALS),
+        ):
+            addresses = f"samples on {running.publish}, requests on {running.command}"
+            may = f"; {clients.description}" if clients.is_restricted else ""
+            out.print(f"ready: {served} of {options.endpoint}; {addresses}{may}; press Ctrl-C to stop")
+            running.run()
+        return running
+
+    counts = when_there(run, wait=wait).counts
     out.print(
         f"{counted(counts.samples, 'sample')}, {counted(counts.requests, 'request')}, {counts.denied} of them rejected"
     )
+
+
+def when_there(attempt: Callable[[], T], *, wait: bool) -> T:
+    """Return what an attempt returns, the first one or, with `wait`, that for which the bus and the node are there."""
+    waiting = _Waiting(wait)
+    while True:
+        try:
+            return attempt()
+        except NodeNotFound as error:
+            waiting.report(error)
+        time.sleep(_RETRY_S)
+
+
+def manifest_of(node: str, options: BusOptions, *, wait: bool) -> Manifest:
+    """Return the manifest of a node, with `wait` as soon as the bus and the node are there."""
+
+    def read() -> Manifest:
+        with options.open_bus(Role.GATEWAY) as bus:
+            return bus.manifest(node)
+
+    return when_there(read, wait=wait)
 
 
 class _Waiting:

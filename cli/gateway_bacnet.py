@@ -9,13 +9,12 @@ from typing import Annotated
 import typer
 
 from zenostat.cli.console import err, out
-from zenostat.cli.gateway import serve
+from zenostat.cli.gateway import manifest_of, serve
 from zenostat.cli.gateway_clients import Allow, ClientsFile, clients_of, notify
 from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
 from zenostat.gateways.addresses import parse_address
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
-from zenostat.topics.keys import Role
 from zenostat.topics.plurals import counted
 
 _MAX_INSTANCE = 4_194_302
@@ -55,7 +54,7 @@ def bacnet(
         raise InvalidConfig(f"--source has {len(source)} characters; the most are {_MAX_SOURCE}")
     number = instance_number(node) if instance is None else instance
     if objects is not None:
-        _write_objects(node, number, objects, options)
+        _write_objects(node, number, objects, options, wait=wait)
         return
     interface = find_interface(*parse_address(address, "BACnet/IP", expose=expose, default_port=DEFAULT_PORT))
     known = clients_of(clients, allow, is_exposed=not interface.address.ip.is_loopback)
@@ -79,7 +78,7 @@ def bacnet(
     )
 
 
-def _write_objects(node: str, number: int, file: Path, options: BusOptions) -> None:
+def _write_objects(node: str, number: int, file: Path, options: BusOptions, *, wait: bool) -> None:
     """Write all objects of a node's device, whose number is `number`: type, instance, name, units, bounds, description.
 
     Raises:
@@ -89,8 +88,7 @@ def _write_objects(node: str, number: int, file: Path, options: BusOptions) -> N
     from zenostat.gateways.bacnet.points import point_specs
     from zenostat.gateways.bacnet.units import bacnet_unit
 
-    with options.open_bus(Role.GATEWAY) as bus:
-        manifest = bus.manifest(node)
+    manifest = manifest_of(node, options, wait=wait)
     fixed, points = fixed_objects(manifest, number), point_specs(manifest)
     try:
         with file.open("w", encoding="utf-8", newline="") as opened:

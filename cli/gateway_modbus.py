@@ -8,11 +8,10 @@ from typing import Annotated
 import typer
 
 from zenostat.cli.console import out
-from zenostat.cli.gateway import serve
+from zenostat.cli.gateway import manifest_of, serve
 from zenostat.cli.gateway_clients import Allow, ClientsFile, clients_of, notify
 from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
 from zenostat.topics.errors import InvalidConfig
-from zenostat.topics.keys import Role
 from zenostat.topics.plurals import counted
 
 DEFAULT_PORT = 1502
@@ -52,7 +51,7 @@ def modbus(
     if word_order not in ("big", "little"):
         raise InvalidConfig(f"--word-order {word_order}: expected big or little")
     if map_file is not None:
-        _write_map(node, map_file, options)
+        _write_map(node, map_file, options, wait=wait)
         return
     host, port = parse_address(address, "Modbus TCP", expose=expose, default_port=DEFAULT_PORT)
     known = clients_of(clients, allow, is_exposed=not is_loopback(host))
@@ -74,7 +73,7 @@ def modbus(
     )
 
 
-def _write_map(node: str, file: Path, options: BusOptions) -> None:
+def _write_map(node: str, file: Path, options: BusOptions, *, wait: bool) -> None:
     """Write the register map of a node as CSV or Markdown.
 
     Raises:
@@ -84,8 +83,7 @@ def _write_map(node: str, file: Path, options: BusOptions) -> None:
 
     if file.suffix not in (".csv", ".md"):
         raise InvalidConfig(f"--map {file}: expected a file with the suffix .csv or .md")
-    with options.open_bus(Role.GATEWAY) as bus:
-        registers = RegisterMap(bus.manifest(node))
+    registers = RegisterMap(manifest_of(node, options, wait=wait))
     try:
         file.write_text(registers.csv() if file.suffix == ".csv" else registers.markdown(), encoding="utf-8")
     except OSError as error:

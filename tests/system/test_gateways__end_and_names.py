@@ -275,27 +275,32 @@ def until_line(lines: IO[str], begin: str) -> str:
 @pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize(
-    "options",
+    ("options", "line"),
     [
-        ["modbus", "room", "--address", "127.0.0.1:0"],
-        ["zeromq", "--node", "room", "--publish", "tcp://127.0.0.1:*", "--command", "tcp://127.0.0.1:*"],
+        (["modbus", "room", "--address", "127.0.0.1:0"], "ready: "),
+        (["zeromq", "--node", "room", "--publish", "tcp://127.0.0.1:*", "--command", "tcp://127.0.0.1:*"], "ready: "),
+        (["modbus", "room", "--map", "map.csv"], "map of room: "),
+        (["bacnet", "room", "--objects", "objects.csv"], "objects of room: "),
     ],
-    ids=["modbus", "zeromq"],
+    ids=["modbus", "zeromq", "map", "objects"],
 )
-def test_gateways__gateway_that_is_started_first_waits_for_bus_and_node(tmp_path: Path, options: list[str]) -> None:
+def test_gateways__gateway_that_is_started_first_waits_for_bus_and_node(
+    tmp_path: Path, options: list[str], line: str
+) -> None:
     endpoint = f"unixsock-stream/{tmp_path}/other/bus"
     words = ["gateway", *options, "--connect", endpoint]
     assert "nobody listens on" in run_in_process(*words, columns=500).stderr
-    with subprocess.Popen([*ZENOSTAT, *words, "--wait"], stdout=PIPE, stderr=PIPE, text=True) as program:
+    with subprocess.Popen([*ZENOSTAT, *words, "--wait"], stdout=PIPE, stderr=PIPE, text=True, cwd=tmp_path) as program:
         try:
             assert program.stdout is not None
             lines = program.stdout
             assert lines.readline().startswith("nobody listens on")
             with NodeProgram(tmp_path / "other", plant=PLANT, name="other") as other:
-                until_line(lines, "no node 'room' on the bus")
+                until_line(lines, "no node 'room' on ")
                 with NodeProgram(tmp_path / "room", plant=PLANT, name="room", listen=[], connect=[other.endpoint]):
-                    until_line(lines, "ready: ")
-                    program.send_signal(signal.SIGTERM)
+                    until_line(lines, line)
+                    if line == "ready: ":
+                        program.send_signal(signal.SIGTERM)
                     out, err = program.communicate(timeout=60)
         finally:
             program.kill()
