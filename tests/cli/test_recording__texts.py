@@ -28,19 +28,18 @@ class _Server:
     manifest = type("Manifest", (), {"steps": 96})
 
 
-def test_recording__node_reports_once_that_its_recording_stopped() -> None:
-    console = Console(file=io.StringIO(), width=200)
+def test_recording__node_reports_once_that_its_recording_stopped(capsys: pytest.CaptureFixture[str]) -> None:
     server: Any = _Server()
-    bar = ProgressBar(Progress(console=console), "office")
+    bar = ProgressBar(Progress(console=Console(file=io.StringIO())), "office")
     bar(server)
     bar.recording = lambda: RecordingStatus(path=STOPPED.path, state=RecordingState.RECORDING)
     bar(server)
-    assert not console.file.getvalue()  # type: ignore[attr-defined]
+    assert not capsys.readouterr().out
     bar.recording = lambda: STOPPED
     bar(server)
     bar(server)
-    text = console.file.getvalue()  # type: ignore[attr-defined]
-    assert text.count("office: the recording to /x/run.mcap stopped: No space left on device") == 1
+    warning = "warning: office: the recording to /x/run.mcap stopped: No space left on device\n"
+    assert capsys.readouterr().out == warning
 
 
 @pytest.mark.parametrize(
