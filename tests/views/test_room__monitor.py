@@ -24,7 +24,11 @@ pytestmark = [
     pytest.mark.slow,
 ]
 
-ALARMS = "alarms: [{name: empty, points: [level], low: 5.0, unit: m, priority: high}]\n"
+ALARMS = """
+alarms:
+  - {name: empty, points: [level], low: 5.0, unit: m, priority: high}
+  - {name: low, points: [level], low: 6.0, unit: m}
+"""
 VIEWS = [
     ("", ".card"),
     ("?node=tank&tab=alarms&table=points", ".tab-panel .alarms li"),
@@ -186,9 +190,9 @@ def test_room__operator_is_offered_all_controls(browser: Any, room: Any, keys: P
         assert page.get_by_text("who changes nothing").count() == 0
         assert page.locator("[aria-description]").count() == 0
     page = ada.open(*VIEWS[1])
-    page.get_by_label("Acknowledge empty", exact=True).click()
+    page.get_by_label("Acknowledge low", exact=True).click()
     with page.expect_response(lambda response: response.request.method == "POST"):
         page.locator("dialog").get_by_role("button", name="Acknowledge").click()
-    until(lambda: room.bus.alarms("tank").alarms[0].state == "acknowledged", "it is acknowledged")
+    until(lambda: room.bus.alarms("tank").alarms[1].state == "acknowledged", "it is acknowledged")
     assert [status for _, status in ada.changes] == [200]
     ada.close()
