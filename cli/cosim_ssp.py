@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Mapping
+from math import isclose
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from zenostat.cli.console import err, out
 from zenostat.cli.options import Loops
 from zenostat.cosim.file import RESERVED, read_district
 from zenostat.cosim.graph import feedback_edges
+from zenostat.cosim.resampling import TICK_S, whole_steps
 from zenostat.cosim.topology import MAX_NAME
 from zenostat.plants.ssp.structure import Link, Structure, read_structure
 from zenostat.topics.errors import InvalidConfig
@@ -47,7 +49,14 @@ def convert(source: Path, target: Path, loops: Loops, *, overwrite: bool) -> Non
         shutil.rmtree(work, ignore_errors=True)
     target.write_text(dump(district(structure, folder.name, loops, source.name)), encoding="utf-8")
     read_district(target)
-    for note in structure.notes:
+    notes = list(structure.notes)
+    duration_s, own_s = _duration_s(structure), _experiment_s(structure)
+    if duration_s is not None and own_s is not None and not isclose(duration_s, own_s, abs_tol=TICK_S):
+        notes.append(
+            f"the experiment's {own_s:g} s are not a multiple of the step size {structure.step_s:g} s; an episode has "
+            f"{duration_s:g} s"
+        )
+    for note in notes:
         err.print(f"note: {note}", style="yellow")
     plants, links = len(structure.components), len(structure.links)
     out.print(f"{target}: FMUs: {plants}, connections: {links}; check it with: zenostat cosim {target} --check")
@@ -84,8 +93,8 @@ def district(structure: Structure, folder: str, loops: Loops, source: str) -> di
         content["timestep"] = experiment["step_s"] = structure.step_s
     if structure.start_s:
         experiment["start_s"] = structure.start_s
-    if structure.stop_s is not None and structure.stop_s > (structure.start_s or 0.0):
-        experiment["duration_s"] = structure.stop_s - (structure.start_s or 0.0)
+    if (duration_s := _duration_s(structure)) is not None:
+        experiment["duration_s"] = duration_s
     content["plants"] = {}
     for component in structure.components:
         arguments = dict(experiment)
@@ -102,6 +111,19 @@ def district(structure: Structure, folder: str, loops: Loops, source: str) -> di
         _connection(number, link, loops if number in back else None) for number, link in enumerate(structure.links)
     ]
     return content | ({"connections": connections} if connections else {})
+
+
+def _duration_s(structure: Structure) -> float | None:
+    """Return the length of an episode in whole timesteps, at least one; None if the SSP file does not say."""
+    length_s = _experiment_s(structure)
+    if length_s is None or structure.step_s is None:
+        return length_s
+    return round(max(1, whole_steps(length_s, structure.step_s)) * structure.step_s, 6)
+
+
+def _experiment_s(structure: Structure) -> float | None:
+    length_s = 0.0 if structure.stop_s is None else structure.stop_s - (structure.start_s or 0.0)
+    return length_s if length_s > 0.0 else None
 
 
 def _connection(number: int, link: Link, loops: Loops | None) -> Mapping[str, Any]:

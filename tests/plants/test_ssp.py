@@ -58,6 +58,23 @@ def test_convert__nested_systems_become_plants_and_connections(tank: Path, tmp_p
     assert (tmp_path / "district" / "tank.fmu").read_bytes() == tank.read_bytes()
 
 
+@pytest.mark.parametrize(
+    ("stop_s", "duration_s", "note"),
+    [
+        (1000, 960.0, "1000 s are not a multiple of the step size 60 s; an episode has 960 s"),
+        (40, 60.0, "40 s are not a multiple of the step size 60 s; an episode has 60 s"),
+        (1020, 1020.0, ""),
+    ],
+)
+def test_convert__episode_has_whole_timesteps(
+    stop_s: float, duration_s: float, note: str, tank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = converted(tmp_path, tank, ssp.TWO_TANKS, files=ssp.VALUES, stop_s=stop_s)
+    assert {plant["plant_arguments"]["duration_s"] for plant in content["plants"].values()} == {duration_s}
+    printed = " ".join(capsys.readouterr().err.split())
+    assert (note in printed) if note else ("multiple" not in printed)
+
+
 SUPPRESSED = 'suppressUnitConversion="true"'
 
 
