@@ -137,6 +137,17 @@ def _is_list(value: Any) -> str:
     return "@list" if isinstance(value, list | tuple) else "@number"
 
 
+def _check_choices(value: Any) -> Any:
+    """Refuse discrete choices that do not name their actions, such as rows alone or numbered ones."""
+    parts = value if isinstance(value, list | tuple) else ()
+    if isinstance(value, Mapping) or not all(isinstance(part, Mapping | DiscreteActionSpec) for part in parts):
+        raise ValueError(
+            "a number of steps, or for each discrete action its actions and its choices, a row each, expected: "
+            "[{actions: [heating, cooling], values: [[18, 27], [20, 25]]}]"
+        )
+    return value
+
+
 def _is_pair(value: Any) -> str:
     if isinstance(value, Mapping):
         return "@mapping"
@@ -176,6 +187,7 @@ Discrete = Annotated[
     Annotated[int, Field(ge=2, le=1000, strict=True), Tag("@number")]
     | Annotated[tuple[DiscreteActionSpec, ...], Tag("@list")],
     Discriminator(_is_list),
+    BeforeValidator(_check_choices),
 ]
 
 

@@ -366,6 +366,13 @@ WRONG = {
 }
 
 
+@pytest.mark.parametrize("rows", ["[[18, 27], [20, 25]]", "{0: [18, 27], 1: [20, 25]}", "[18, 20]"])
+def test_scenario__rows_of_discrete_choices_without_their_actions_are_refused_once(load: Load, rows: str) -> None:
+    message = refused(load, f"discrete: {rows}")
+    assert message.count("values: [[18, 27], [20, 25]]") == 1
+    assert "discrete: a number of steps, or for each discrete action" in message
+
+
 @pytest.mark.parametrize(("path", "text"), WRONG.items(), ids=WRONG)
 def test_scenario__what_cannot_be_is_named_with_its_path(load: Load, path: str, text: str) -> None:
     assert f"{path}:" in refused(load, text)
