@@ -33,6 +33,11 @@ ARGUMENT = re.compile(r"^ {8,12}([a-z]\w*): ", re.MULTILINE)
 """One on each line, as its formatter has it; the language is newer than the lowest version of Python that runs this."""
 
 
+ATTRIBUTE = re.compile(r"^ +self\.([a-z]\w*)(?:: [^=\n]+)? = ", re.MULTILINE)
+INTERNALS = {"act_queue", "context_queue", "energyplus_simulator", "info_queue", "np_random", "obs_queue"}
+"""Attributes with which its environment and its simulator exchange values, and one of Gymnasium."""
+
+
 @pytest.fixture(scope="module")
 def page() -> str:
     return "\n".join((DOCS / name).read_text() for name in PAGES)
@@ -47,3 +52,9 @@ def test_sinergym__each_name_of_sinergym_has_a_row(module: str, page: str) -> No
     assert arguments or module in ("utils/common.py", "utils/controllers.py", "utils/env_checker.py")
     missing = sorted(n for n in (defined | arguments) - HELPERS if not re.search(rf"\b{n}\b", page))
     assert missing == []
+
+
+def test_sinergym__each_attribute_of_its_environment_has_a_row(page: str) -> None:
+    attributes = set(ATTRIBUTE.findall((packs.sinergym() / "sinergym/envs/eplus_env.py").read_text()))
+    assert attributes >= INTERNALS - {"np_random"} | {"observation_variables", "action_variables"}
+    assert sorted(n for n in attributes - INTERNALS if not re.search(rf"\b{n}\b", page)) == []
