@@ -23,6 +23,7 @@ from zenostat.cosim.market import MarketSpec
 from zenostat.topics.calendar import parse_duration
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.file_fields import as_tuple
+from zenostat.topics.file_kinds import FileKind
 from zenostat.topics.messages.base import SafeName
 from zenostat.topics.model_file import FileErrors, read_with_lines
 from zenostat.topics.scenario_fields import MEANING, NodeArguments
@@ -267,7 +268,7 @@ def read_district(path: Path) -> DistrictFile:
     Raises:
         InvalidConfig: the file cannot be read, or a field is unknown, missing or wrong; lists all errors with lines.
     """
-    spec, mapping, errors = read_with_lines(path, DistrictSpec)
+    spec, mapping, errors = read_with_lines(path, DistrictSpec, FileKind.DISTRICT)
     return DistrictFile(errors.path, spec, mapping["plants"], errors.lines, _connections(spec))
 
 

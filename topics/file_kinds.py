@@ -16,6 +16,7 @@ class FileKind(StrEnum):
     TUNING = "tuning"
     CONTROLLER = "controller"
     CALIBRATION = "calibration"
+    DISTRICT = "district"
 
 
 _FIELDS = {
@@ -24,6 +25,7 @@ _FIELDS = {
     FileKind.TUNING: {"study", "training", "sampler", "trials"},
     FileKind.CONTROLLER: {"controller"},
     FileKind.CALIBRATION: {"timestamps", "periods", "held_out", "columns", "margin"},
+    FileKind.DISTRICT: {"plants", "connections", "lost_timeout"},
 }
 """Fields that only files of one kind have, at least one of which is required."""
 
@@ -33,6 +35,7 @@ _COMMANDS = {
     FileKind.TUNING: "use zenostat tune",
     FileKind.CONTROLLER: "give it to zenostat run or evaluate as --controller",
     FileKind.CALIBRATION: "use zenostat calibrate",
+    FileKind.DISTRICT: "use zenostat cosim, whose recordings zenostat report compares",
 }
 
 

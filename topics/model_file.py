@@ -13,6 +13,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 from zenostat.topics import yaml12
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig, list_errors
+from zenostat.topics.file_kinds import FileKind, check_file_kind
 from zenostat.topics.user_file import user_file
 from zenostat.topics.yaml12 import Lines
 
@@ -45,17 +46,25 @@ class FileErrors:
         raise InvalidConfig(ordered[0] if len(ordered) == 1 else list_errors(f"{self.path} has errors:", ordered))
 
 
-def read_with_lines(path: Path, model: type[M]) -> tuple[M, dict[str, Any], FileErrors]:
+def read_with_lines(path: Path, model: type[M], kind: FileKind | None = None) -> tuple[M, dict[str, Any], FileErrors]:
     """Read a YAML file into a model; return it, the file's mapping, and a list for further errors, which is empty.
 
+    Args:
+        path: the file.
+        model: of its fields.
+        kind: that the file is to have, if it may be taken for one of another kind.
+
     Raises:
-        InvalidConfig: the file cannot be read, or a field is unknown, missing or wrong; lists all errors with lines.
+        InvalidConfig: the file cannot be read, it is of another kind, or a field is unknown, missing or wrong; lists
+            all errors with lines.
     """
     with user_file(path):
         path = path.expanduser()
     with user_file(path, expected="a YAML file"):
         text = yaml12.read_text(path)
     mapping, lines = yaml12.parse_with_lines(text, str(path))
+    if kind is not None:
+        check_file_kind(mapping, kind, str(path))
     errors = FileErrors(path, lines)
     try:
         return model.model_validate(mapping), mapping, errors

@@ -27,6 +27,11 @@ def errors_of(folder: Path, text: str) -> str:
     return str(caught.value).replace(str(folder / "district.yaml"), "FILE")
 
 
+def test_read_district__file_of_another_kind_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InvalidConfig, match=r"district.yaml is a scenario file, not a district file: .*evaluate"):
+        district_file(tmp_path, "building: SmallOffice\nweather: chicago\ncontrol: zone\n")
+
+
 @pytest.mark.parametrize(
     ("connections", "expected"),
     [

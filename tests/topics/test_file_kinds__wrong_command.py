@@ -11,6 +11,7 @@ FILES = {
     FileKind.TUNING: {"study", "training", "parameters"},
     FileKind.CONTROLLER: {"controller", "parameters"},
     FileKind.CALIBRATION: {"timestamps", "periods", "parameters"},
+    FileKind.DISTRICT: {"name", "timestep", "plants", "reward"},
 }
 
 
