@@ -388,7 +388,7 @@ def test_zeromq_gateway__bad_topics_are_denied_by_name(open_gateway, topic):
 @pytest.mark.parametrize(
     ("what", "payload", "words"),
     [
-        ("rpc/claim/c", b"", "Claim: controller: it is missing"),
+        ("rpc/try/c", b"", "alternatives: it is missing"),
         ("rpc/claim/c", msgpack.packb([]), "a Claim should be a map"),
         ("rpc/claim/c", msgpack.packb({"controller": "a/b"}), "controller"),
         ("command/c", b"\xc1", "not msgpack"),
