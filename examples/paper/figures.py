@@ -99,16 +99,25 @@ def draw_training(folders: list[Path], path: Path) -> None:
     save(figure, path)
 
 
+def combinations(trials: Path) -> list[dict[str, float]]:
+    """Return the completed combinations of a search, with the mean reward per step of the last evaluation of each."""
+    return [
+        {name.removeprefix("parameters."): value for name, value in row.items()} | {"mean_reward": row["reward"] / YEAR}
+        for row in read_rows(trials)
+        if row["state"] == "COMPLETE"
+    ]
+
+
 def draw_search(rows: list[dict[str, float]], path: Path) -> None:
     """Draw parallel coordinates: a line for each combination, darker for a higher reward."""
-    names = [f"parameters.{name}" for name in ("learning_rate", "n_steps", "batch_size", "gamma")] + ["reward"]
+    names = ["learning_rate", "n_steps", "batch_size", "gamma", "mean_reward"]
     figure, axes = plt.subplots(figsize=(theme.FULL_IN, 3.0), layout="constrained")
     columns = {name: np.array([row[name] for row in rows]) for name in names}
-    rank = np.argsort(np.argsort(columns["reward"])) / max(len(rows) - 1, 1)
+    rank = np.argsort(np.argsort(columns["mean_reward"])) / max(len(rows) - 1, 1)
     scaled = {}
     for place, name in enumerate(names):
         values = np.unique(columns[name])
-        if name == "reward":
+        if name == "mean_reward":
             spread = np.ptp(values) or 1.0
             scaled[name] = (columns[name] - values[0]) / spread
             ends = ((0.0, f"{values[0]:.4f}"), (1.0, f"{values[-1]:.4f}"))
@@ -121,10 +130,10 @@ def draw_search(rows: list[dict[str, float]], path: Path) -> None:
             axes.annotate(
                 text, (place, height), (4, 0), textcoords="offset points", va="center", fontsize=7, bbox=label
             )
-    for number in np.argsort(columns["reward"]):
+    for number in np.argsort(columns["mean_reward"]):
         color = mpl.colormaps["viridis"](1.0 - rank[number])
         axes.plot(range(len(names)), [scaled[name][number] for name in names], color=color, alpha=0.8)
-    axes.set_xticks(range(len(names)), [name.removeprefix("parameters.").replace("_", " ") for name in names])
+    axes.set_xticks(range(len(names)), [name.replace("_", " ") for name in names])
     axes.set(title=f"PPO: {len(rows)} combinations, last evaluation of each", yticks=[], xlim=(-0.1, len(names) - 0.7))
     axes.grid(visible=True, axis="x")
     save(figure, path)
@@ -211,8 +220,7 @@ def main() -> None:
         if folders := trainings(options.runs):
             draw_training(folders, options.out / "paper-training.png")
         if (trials := options.runs / "search" / "trials.csv").exists():
-            complete = [row for row in read_rows(trials) if row["state"] == "COMPLETE"]
-            draw_search(complete, options.out / "paper-search.png")
+            draw_search(combinations(trials), options.out / "paper-search.png")
         draw_months(runs, options.out / "paper-months.png")
     print_table(year)
 

@@ -1,28 +1,37 @@
-"""Publish the trainings of the paper's agents: their curves, a figure, and the tables of a page.
+"""Publish the trainings of the paper's agents: their curves, figures, and the tables of a page.
 
     python examples/paper/trainings.py runs --out docs/paper --page docs/paper.md
 
 Copies `curve.csv` (return of each episode), `evaluations.csv` and `training.yaml` of each training (`runs/ppo`,
-`runs/ppo-1`, `runs/sac`, …), and `runs/agents.csv`: years of other weather noise with the best policies. The tables of
-the page are made of these files; `trainings.py docs/paper --page docs/paper.md` writes them again.
+`runs/ppo-1`, `runs/sac`, …), and `runs/agents.csv`: years of other weather noise with the best policies. The completed
+combinations of the search (`runs/search`, and parts of its grid in `runs/search-1` and so on) are added to those of
+`search.csv`. The tables of the page are made of these files; `trainings.py docs/paper --page docs/paper.md` writes them
+again.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import shutil
 import statistics
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
-from figures import TRAINED, YEAR, draw_training, identity, power_w, read_rows, trainings
+from figures import TRAINED, YEAR, draw_search, draw_training, identity, power_w, read_rows, trainings
 
 from zenostat.views.report import theme
 
 FILES = ("curve.csv", "evaluations.csv", "references.csv", "training.yaml")
 YEARS = 40
 """Length of a training in episodes."""
+SEARCHED = {"learning_rate": (1e-4, 3e-4, 1e-3), "n_steps": (1024, 2048, 4096), "batch_size": (64, 128, 256),
+            "gamma": (0.9, 0.95, 0.99, 0.995)}  # fmt: skip
+"""The grid of the search."""
+COMBINATIONS = 108
+RESULTS = ("mean_reward", "mean_reward.energy", "mean_deviation_k", "hvac_electricity_kwh", "steps")
+"""What `search.csv` has of the evaluation after the second year, besides the combination."""
 MINUS = "\N{MINUS SIGN}"
 IDENTITY = f"{MINUS}(0.5 · 5·10⁻⁵ · W + 0.5 · K)"
 BEGIN, END = "<!-- {} -->", "<!-- /{} -->"
@@ -36,6 +45,30 @@ def publish(runs: Path, out: Path) -> None:
             shutil.copyfile(folder / name, out / folder.name / name)
     if (runs / "agents.csv").is_file():
         shutil.copyfile(runs / "agents.csv", out / "agents.csv")
+
+
+def publish_search(runs: Path, out: Path) -> None:
+    """Add the completed combinations of searches, with their evaluation after two years, to `search.csv`."""
+    path = out / "search.csv"
+    rows = {_combination(row): row for row in read_rows(path)} if path.is_file() else {}
+    for folder in sorted(runs.glob("search*")):
+        for trial in read_rows(folder / "trials.csv"):
+            if trial["state"] == "COMPLETE":
+                evaluated = read_rows(folder / "trials" / f"{int(trial['trial']):04d}/training/evaluations.csv")
+                combination = {name: trial[f"parameters.{name}"] for name in SEARCHED}
+                rows[_combination(combination)] = combination | {name: evaluated[0][name] for name in RESULTS}
+    if rows:
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, [*SEARCHED, *RESULTS], lineterminator="\n")
+            writer.writeheader()
+            for key in sorted(rows):
+                writer.writerow({
+                    name: int(value) if value.is_integer() else value for name, value in rows[key].items()
+                })  # fmt: skip
+
+
+def _combination(row: dict[str, Any]) -> tuple[float, ...]:
+    return tuple(row[name] for name in SEARCHED)
 
 
 def label(name: str) -> str:
@@ -88,6 +121,23 @@ def agent_table(path: Path) -> list[str]:
     return lines
 
 
+def search_table(rows: list[dict[str, Any]]) -> list[str]:
+    """Return a table with the mean reward of the combinations by the value of each parameter, and the best of them."""
+    lines = [f"Completed: {len(rows)} of {COMBINATIONS} combinations.", ""]
+    lines += ["| parameter | value | combinations | reward, mean | reward, best |", "|---|---|---|---|---|"]
+    for name, values in SEARCHED.items():
+        for value in values:
+            rewards = [row["mean_reward"] for row in rows if row[name] == value]
+            if rewards:
+                numbers = f"{statistics.fmean(rewards):.4f} | {max(rewards):.4f}".replace("-", MINUS)
+                lines.append(f"| `{name}` | {value:g} | {len(rewards)} | {numbers} |")
+    lines += ["", f"| the best combinations | reward | W | K | {IDENTITY} |", "|---|---|---|---|---|"]
+    for row in sorted(rows, key=lambda row: -row["mean_reward"])[:5]:
+        combination = ", ".join(f"`{name}` {row[name]:g}" for name in SEARCHED)
+        lines.append(f"| {combination} | {cells([row])}")
+    return lines
+
+
 def replace_block(text: str, name: str, lines: list[str]) -> str:
     """Return a page with other lines between two comments.
 
@@ -108,7 +158,8 @@ def page_text(text: str, published: Path) -> str:
         f"{folder.name.upper()} {read_rows(folder / 'curve.csv')[-1]['step'] / YEAR:.0f}" for folder in folders
     )
     text = replace_block(text, "trainings", [*training_table(folders), "", f"Years trained of {YEARS}: {years}."])
-    return replace_block(text, "agents", agent_table(published / "agents.csv"))
+    text = replace_block(text, "agents", agent_table(published / "agents.csv"))
+    return replace_block(text, "search", search_table(read_rows(published / "search.csv")))
 
 
 def main() -> None:
@@ -121,10 +172,13 @@ def main() -> None:
     published = options.out or options.runs
     if options.out:
         publish(options.runs, options.out)
+        publish_search(options.runs, options.out)
     if options.page:
         options.page.write_text(page_text(options.page.read_text(encoding="utf-8"), published), encoding="utf-8")
         with mpl.rc_context(theme.style("paper")):
-            draw_training(trainings(published), options.page.parent / "images" / "paper-training.png")
+            images = options.page.parent / "images"
+            draw_training(trainings(published), images / "paper-training.png")
+            draw_search(read_rows(published / "search.csv"), images / "paper-search.png")
 
 
 if __name__ == "__main__":
