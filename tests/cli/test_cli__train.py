@@ -163,6 +163,7 @@ def test_cli__options_override_the_file_and_resume_continues(trained: Path, tmp_
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:Heartbeat of storage")
 def test_cli__study_whose_trainings_are_invalid_ends_with_the_reason(tmp_path: Path) -> None:
     pytest.importorskip("optuna")
     from support.tuning import load_tuning
@@ -172,12 +173,12 @@ def test_cli__study_whose_trainings_are_invalid_ends_with_the_reason(tmp_path: P
 
     tuning = Tuning(load_tuning(tmp_path / write(tmp_path, "s.yaml", STUDY, output=str(tmp_path / "study"))))
     for _ in range(2):
-        tuning._check_first_trials("dqn needs one discrete action")
+        tuning._check_first_trials(tuning.study.ask(), "dqn needs one discrete action")
     with pytest.raises(InvalidConfig, match="no trial of the study can be run: dqn needs one"):
-        tuning._check_first_trials("dqn needs one discrete action")
+        tuning._check_first_trials(tuning.study.ask(), "dqn needs one discrete action")
     valid = Tuning(load_tuning(tmp_path / "s.yaml"))
     for reason in ("bad", None, "bad", "bad", "bad", "bad"):  # one that was valid: the others are points of the space
-        valid._check_first_trials(reason)
+        valid._check_first_trials(valid.study.ask(), reason)
 
 
 @pytest.mark.slow
