@@ -375,9 +375,9 @@ def test_bus__faults_of_the_link_apply_to_commands_in_both_forms(client: Client)
 def test_bus__key_with_wildcards_names_no_controller_and_no_actuator(client: Client) -> None:
     client.claim("c")
     for name in ("*", "c$*", "**"):
-        assert client.ask(keys.COMMAND_REQUEST, name, client.command()).message.startswith(f"{name!r} has claimed")
         write = msgpack.packb({"value": 26.0})
-        assert client.ask(keys.WRITE_REQUEST, name, write).message.startswith(f"no actuator {name!r}")
+        for topic, payload in ((keys.COMMAND_REQUEST, client.command()), (keys.WRITE_REQUEST, write)):
+            assert "wildcard in place of a name" in client.ask(topic, name, payload).message
     assert client.bus.status("office").accepted == 0
 
 
