@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 
-from zenostat.topics.energyplus_names import END_USES, FACILITY_POWER, HVAC_POWER
+from zenostat.topics.energyplus_names import END_USES, FACILITY_POWER, GENERATION_METERS, HVAC_POWER
 from zenostat.topics.messages import Aggregation, Manifest, Meter
 from zenostat.topics.units import energy_kwh, quantity
 
@@ -17,12 +17,10 @@ FUELS = {
 }  # fmt: skip
 """Energy carriers, with their names in EnergyPlus's meters."""
 
-GENERATION = {
-    "electricity_produced": "ElectricityProduced",
-    "electricity_purchased": "ElectricityPurchased",
-    "electricity_sold": "ElectricitySurplusSold",
-}
-"""What a building with generators produces, buys and sells, with EnergyPlus's names of the meters."""
+GENERATION = dict(
+    zip(("electricity_produced", "electricity_purchased", "electricity_sold"), GENERATION_METERS, strict=False)
+)
+"""Electricity that a building with generators produces, buys and sells, with EnergyPlus's names of the meters."""
 
 _METERS = {
     plain: meter
@@ -34,9 +32,9 @@ _METERS = {
         re.sub(r"(?<=[a-z])(?=[A-Z0-9])", "_", text.replace(":", "_")).lower(),
     )
 } | FUELS | {
-    plain: f"{meter}:Facility"
+    plain: meter
     for name, meter in GENERATION.items()
-    for plain in (name, f"{name}_facility", f"{meter}_facility".casefold())
+    for plain in (name, f"{name}_facility", meter.replace(":", "_").casefold())
 }  # fmt: skip
 """EnergyPlus's meters by the names that their points have by default, and its fuels by those of `FUELS`."""
 
@@ -105,7 +103,7 @@ def hvac_sources(manifest: Manifest) -> dict[str, EnergySource]:
 def generation_sources(manifest: Manifest) -> dict[str, EnergySource]:
     """Return the sources of what a building with generators produces, buys and sells, where the node measures it."""
     meters = _meters(manifest)
-    sources = {name: meters.get(f"{meter}:Facility".casefold()) for name, meter in GENERATION.items()}
+    sources = {name: meters.get(meter.casefold()) for name, meter in GENERATION.items()}
     return {name: source for name, source in sources.items() if source is not None}
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import math
 import shutil
 import statistics
 from pathlib import Path
@@ -21,17 +22,18 @@ from typing import Any
 import matplotlib as mpl
 from figures import TRAINED, YEAR, draw_search, draw_training, identity, power_w, read_rows, trainings
 
+from zenostat.topics import yaml12
 from zenostat.views.report import theme
 
 FILES = ("curve.csv", "evaluations.csv", "references.csv", "training.yaml")
 YEARS = 40
 """Length of a training in episodes."""
-SEARCHED = {"learning_rate": (1e-4, 3e-4, 1e-3), "n_steps": (1024, 2048, 4096), "batch_size": (64, 128, 256),
-            "gamma": (0.9, 0.95, 0.99, 0.995)}  # fmt: skip
+_GRID = yaml12.read_mapping(Path(__file__).with_name("search.yaml"))["parameters"]
+SEARCHED = {name: _GRID[f"parameters.{name}"] for name in ("learning_rate", "n_steps", "batch_size", "gamma")}
 """The grid of the search."""
-COMBINATIONS = 108
+COMBINATIONS = math.prod(map(len, SEARCHED.values()))
 RESULTS = ("mean_reward", "mean_reward.energy", "mean_deviation_k", "hvac_electricity_kwh", "steps")
-"""What `search.csv` has of the evaluation after the second year, besides the combination."""
+"""Columns of `search.csv` from the evaluation after the second year, beside those of the combination."""
 MINUS = "\N{MINUS SIGN}"
 IDENTITY = f"{MINUS}(0.5 · 5·10⁻⁵ · W + 0.5 · K)"
 BEGIN, END = "<!-- {} -->", "<!-- /{} -->"

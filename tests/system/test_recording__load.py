@@ -291,7 +291,7 @@ def test_recording__part_is_replayed_under_another_name_at_its_pace(
 def test_recording__replay_cuts_pauses_to_a_minute_or_two_timesteps_of_a_paced_node(
     seen: Any, session: tuple[zenoh.Session, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The clock was set forward by an hour in the midst of the recording."""
+    """The clock was set forward by an hour in the middle of the recording."""
     with RecordingReader(seen.path) as reader:
         recorded = [*reader.messages({"Sample", "Event"})]
         begin, middle, end = recorded[0].time_ns, recorded[20].time_ns, recorded[-1].time_ns
