@@ -59,7 +59,7 @@ _PLACES = {command_name(place): place for places in GROUPS.values() for place in
 _HEADINGS = {command_name(place): heading for heading, places in GROUPS.items() for place in places}
 
 
-_GATEWAYS = ("gateway_bacnet.bacnet", "gateway_modbus.modbus", "gateway_mqtt.mqtt")
+_GATEWAYS = ("gateway_bacnet.bacnet", "gateway_fmi.fmi", "gateway_modbus.modbus", "gateway_mqtt.mqtt")
 """Commands of `zenostat gateway` that have modules of their own, beside those of `gateway.app`."""
 
 

@@ -1,8 +1,9 @@
 """Clients of gateways: their names, and the points that each may write.
 
 A client of another protocol has no certificate. The user's file maps what its protocol knows of it (the user name of
-MQTT, a token of BOPTEST, the device instance or address of BACnet, the unit id or address of Modbus) to a name, and the
-gateway sends for it under that name, below its own: `modbus.panel`. What a client may write follows from its name.
+MQTT, a token of BOPTEST, the device instance or address of BACnet, the unit id or address of Modbus, the address from
+which an FMU connects) to a name, and the gateway sends for it under that name, below its own: `modbus.panel`. What a
+client may write follows from its name.
 """
 
 from __future__ import annotations
@@ -102,6 +103,7 @@ class ClientSpec(_Part):
     )
     bacnet: BacnetClient | None = Field(None, description="Device instance, address, or both.")
     modbus: ModbusClient | None = Field(None, description="Unit id, address, or both.")
+    fmi: Network | None = Field(None, description="IP address of the tool that runs the FMU, or its network.")
     allow: tuple[Pattern, ...] = Field((), description="Actuators that it may write, with * and ?.")
 
 
@@ -181,6 +183,11 @@ class Clients:
             if client is not None and client.instance in (None, instance) and client.matches_address(host):
                 return name
         return ""
+
+    def of_fmi(self, host: str) -> str:
+        """Return the name of the client that runs an FMU, by its address."""
+        address = ip_address(host.partition("%")[0])
+        return next((name for name, spec in self.specs.items() if spec.fmi is not None and address in spec.fmi), "")
 
     @property
     def bacnet_instances(self) -> frozenset[int]:
@@ -288,7 +295,7 @@ def _check_distinct(spec: ClientsFile, errors: FileErrors) -> None:
     """Add an error for each client that a protocol cannot tell from an earlier one."""
     seen: dict[tuple[str, object], str] = {}
     for name, client in spec.clients.items():
-        for protocol in ("mqtt", "boptest", "bacnet", "modbus"):
+        for protocol in ("mqtt", "boptest", "bacnet", "modbus", "fmi"):
             known = getattr(client, protocol)
             if known is None:
                 continue
