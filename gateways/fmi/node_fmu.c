@@ -79,7 +79,7 @@ enum { TRUNCATED = 1 };
 #define CONNECT_MS 10000
 #define SILENCE_MS 30000 /* the gateway sends WORKING every few seconds while it waits for the node */
 #define END_MS 5000
-#define TEXT 1024        /* longest text of an error */
+#define MAX_TEXT 1024 /* longest text of an error */
 #define ADDRESS 300
 #define STEP_TOLERANCE 1e-6
 
@@ -117,7 +117,7 @@ static const double NOTHING = NAN;
 
 /* Report a text. It is the format itself, with %% for %, since importers written in other languages ignore the rest. */
 static Status report(Instance *instance, Status status, const char *format, ...) {
-    char text[TEXT], escaped[2 * TEXT];
+    char text[MAX_TEXT], escaped[2 * MAX_TEXT];
     const char *from = text;
     char *to = escaped;
     va_list arguments;
@@ -279,7 +279,7 @@ static Status lost(Instance *instance) {
 
 /* Send a request and read the answer of a kind; `content` is that of the request, and has room for that of a sample. */
 static Status ask(Instance *instance, uint32_t request, char *content, uint32_t size, uint32_t expected) {
-    char header[HEADER], text[TEXT];
+    char header[HEADER], text[MAX_TEXT];
     uint32_t kind, length;
     if (instance->process != process_id()) {
         disconnect(instance);
@@ -296,7 +296,7 @@ static Status ask(Instance *instance, uint32_t request, char *content, uint32_t 
         length = get_uint32(header + 4);
         if (kind == WORKING && length == 0)
             continue;
-        if (kind == FAILURE && length < TEXT) {
+        if (kind == FAILURE && length < MAX_TEXT) {
             if (!receive_all(instance->socket, text, length))
                 return lost(instance);
             text[length] = '\0';
