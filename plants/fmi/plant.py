@@ -16,6 +16,7 @@ from zenostat.plants.fmi.variables import PointNames, Variable, inputs, outputs
 from zenostat.topics.errors import InvalidConfig
 
 _TASKS = "/proc/self/task"
+_DESCRIPTORS = Path("/proc/self/fd")
 
 
 class FmuPlant:
@@ -69,11 +70,14 @@ class FmuPlant:
         self.actuators = {p: spec for v in free for p, spec in zip(v.points, _actuators(v), strict=True)}
         if not self.sensors:
             raise InvalidConfig(f"{path} has no output that is a number; name variables to observe: observe=['name']")
-        threads = len(os.listdir(_TASKS))
+        threads, sockets = len(os.listdir(_TASKS)), _count_sockets()
         self._instance: Instance | None = self._start()
         self._is_new = True
         if len(os.listdir(_TASKS)) > threads:
             notes.append("the FMU has threads of its own, so it has no snapshots, branches and trial steps")
+        elif _count_sockets() > sockets:
+            self.forkable = False  # two processes would send over one connection
+            notes.append("the FMU has connections of its own, so it has no snapshots, branches and trial steps")
         self.warnings = notes
 
     def _read_experiment(
@@ -169,6 +173,10 @@ def _check_arguments(starts: Any, observe: Any, tolerance: Any) -> None:
         raise InvalidConfig(f"observe = {observe!r}: a list of names expected")
     if tolerance is not None and (isinstance(tolerance, bool) or _number("tolerance", tolerance, "a number") <= 0.0):
         raise InvalidConfig(f"tolerance = {tolerance!r}: a number above 0 expected")
+
+
+def _count_sockets() -> int:
+    return sum(descriptor.is_socket() for descriptor in _DESCRIPTORS.iterdir())
 
 
 def _number(name: str, value: Any, expected: str = "a number of seconds") -> float:

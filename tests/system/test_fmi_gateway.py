@@ -6,11 +6,12 @@ import socket
 import struct
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from support.gateways import RunningGateway
@@ -103,14 +104,14 @@ def importer(archive: Path) -> Iterator[Importer]:
     instance.fmu.freeInstance()
 
 
-def directly(bus: Bus, seed: int, commands: Callable[[int], float | None]) -> np.ndarray:
+def directly(bus: Bus, seed: int, commands: Callable[[int], Mapping[str, float | None]]) -> np.ndarray:
     """Return the readings of an episode without the gateway; amounts are mean rates."""
     with bus.controller("office") as controller:
         sample = controller.reset(seed=seed)
         divisors = np.where(np.arange(21) < len(sample.manifest.sensors), 1.0, STEP_S)
         rows = [sample.values / divisors]
         while not sample.truncated:
-            sample.send({COOLING: commands(sample.step)})
+            sample.send(commands(sample.step))
             sample = controller.receive()
             rows.append(sample.values / divisors)
     return np.array(rows)
@@ -121,7 +122,7 @@ def test_fmi_gateway__values_are_those_of_a_controller_on_the_bus(shared_node: N
         return 24.0 + step % 3 if 30 <= step < 60 else None
 
     with zenostat.connect(shared_node.endpoint, affinity="off") as bus:
-        expected = directly(bus, 7, setpoint)
+        expected = directly(bus, 7, lambda step: {COOLING: setpoint(step)})
         rows = [importer.initialize(seed=7)]
         for step in range(STEPS):
             importer.write(COOLING, setpoint(step))
@@ -135,7 +136,7 @@ def test_fmi_gateway__a_step_of_several_timesteps_has_means_of_rates_and_the_lat
     shared_node: NodeProgram, importer: Importer
 ) -> None:
     with zenostat.connect(shared_node.endpoint, affinity="off") as bus:
-        rows = directly(bus, 7, lambda _: 25.0)
+        rows = directly(bus, 7, lambda _: {COOLING: 25.0})
     importer.initialize(seed=7)
     importer.write(COOLING, 25.0)
     importer.step(0, 40)
@@ -280,6 +281,25 @@ def test_fmi_gateway__bad_addresses_have_reasons(importer: Importer, address: st
     with pytest.raises(fmpy.fmi1.FMICallException):
         importer.initialize(address=address)
     assert text in importer.log[0]
+
+
+def test_fmi_gateway__its_fmu_as_a_node_is_the_same_building(shared_node: NodeProgram, archive: Path) -> None:
+    with pytest.warns(UserWarning, match="the FMU has connections of its own, so it has no snapshots"):
+        env = gym.make("zenostat/Plant-v1", fmu=archive.with_suffix(".fmu"), reward=None, affinity="off")
+    with env, zenostat.connect(shared_node.endpoint, affinity="off") as bus:
+        building: Any = env.unwrapped
+        names = [actuator.name for actuator in building.manifest.actuators]
+        assert names == [actuator.name for actuator in bus.manifest("office").actuators]
+        action = env.action_space.low
+        for _ in range(2):
+            env.reset()
+            rows = [building.sample.values]
+            for _ in range(4):
+                env.step(action)
+                rows.append(building.sample.values)
+        env.close()
+        commands = dict(zip(names, action.tolist(), strict=True))
+        np.testing.assert_array_equal(rows, directly(bus, 7, lambda _: commands)[:5])
 
 
 def test_fmi_gateway__another_controller_is_named(shared_node: NodeProgram, importer: Importer) -> None:
