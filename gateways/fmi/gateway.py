@@ -32,6 +32,7 @@ from zenostat.gateways.notices import Notices
 from zenostat.topics.errors import AddressInUse, RequestRejected, ZenostatError
 
 MAX_CONNECTIONS = 32
+_MAX_WAITING = 4 * MAX_CONNECTIONS
 _FIRST_REQUEST_S = 30.0
 _LOOK_S = 0.5  # how often the connection is looked at while the node simulates
 _WORKING_S = 5.0
@@ -104,7 +105,7 @@ class FmiGateway:
 
 
 class _Server(ThreadingTCPServer):
-    allow_reuse_address, daemon_threads, block_on_close = True, True, True
+    allow_reuse_address, daemon_threads = True, True
 
     def __init__(self, address: tuple[str, int], gateway: FmiGateway) -> None:
         self.address_family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
@@ -118,8 +119,9 @@ class _Server(ThreadingTCPServer):
             connection.close()
 
     @override
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """Keep what a connection's end interrupts off the terminal."""
+    def verify_request(self, request: Any, client_address: Any) -> bool:
+        """Return whether a connection may wait for its first request; those beyond are closed at once."""
+        return len(self.connections) < _MAX_WAITING
 
 
 class _Connection(BaseRequestHandler):
@@ -242,6 +244,8 @@ class _Connection(BaseRequestHandler):
         if len(content) != 4 + 8 * len(actuators):
             raise MalformedRequest("a step with another number of actuators")
         (count,) = struct.unpack_from("<I", content)
+        if not count:
+            raise MalformedRequest("a step of no timesteps")
         values = np.frombuffer(content, "<f8", offset=4).tolist()
         commands = zip(actuators, values, strict=True)
         link.send({actuator.name: None if isnan(value) else value for actuator, value in commands})

@@ -335,5 +335,6 @@ def test_fmi_gateway__another_fmu_and_strangers_are_refused(gateway: RunningGate
     assert b"the points or timesteps of node 'office' are others than those of this FMU" in answer(other)
     assert b"this is the port of FMUs of a node" in answer(b"GET / HTTP/1.1\r\nHost: here\r\n\r\n")
     assert b"a request STEP at the wrong time" in answer(struct.pack("<II", 2, 0))
+    assert b"others than those of this FMU" in answer(struct.pack("<II", 1, 0))
     huge = struct.pack("<II", 1, 2**32 - 1)
     assert b"this is the port of FMUs of a node" in answer(huge)
