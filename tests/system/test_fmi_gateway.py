@@ -338,3 +338,26 @@ def test_fmi_gateway__another_fmu_and_strangers_are_refused(gateway: RunningGate
     assert b"others than those of this FMU" in answer(struct.pack("<II", 1, 0))
     huge = struct.pack("<II", 1, 2**32 - 1)
     assert b"this is the port of FMUs of a node" in answer(huge)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("allow", "permitted"), [("*", True), ("core_*", False)])
+def test_fmi_gateway__address_must_be_allowed_everything(
+    shared_node: NodeProgram, archive: Path, tmp_path: Path, allow: str, permitted: bool
+) -> None:
+    clients = tmp_path / "clients.yaml"
+    clients.write_text(f'clients:\n  workshop:\n    fmi: 127.0.0.0/8\n    allow: ["{allow}"]\n')
+    options = ("--address", "127.0.0.1:0", "--clients", str(clients))
+    with (
+        RunningGateway("fmi", "office", "--connect", shared_node.endpoint, *options) as running,
+        zenostat.connect(shared_node.endpoint, affinity="off") as bus,
+    ):
+        tool = Importer(archive)
+        if permitted:
+            tool.initialize(address=f"127.0.0.1:{running.port}")
+            assert any(name.startswith("fmi.workshop-") for _, name in bus.controllers())
+        else:
+            with pytest.raises(fmpy.fmi1.FMICallException):
+                tool.initialize(address=f"127.0.0.1:{running.port}")
+            assert "workshop may not make this request, for which it must be allowed '*'" in tool.log[0]
+        tool.fmu.freeInstance()
