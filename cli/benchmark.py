@@ -296,14 +296,14 @@ def _show(results: Results, page: Path | None, bounds: Path | None, *, as_json: 
     from zenostat.lab.benchmark.page import write_page
 
     known = {} if bounds is None else load_bounds(bounds, results.set)
-    if page is not None:
-        write_page(results, page, known)
     if as_json:
         show_json(results.plain()["rows"])
-        return
-    for table in tables_with_gap(results, known):
-        if not out.is_terminal:
-            out.print(f"\n{table.title}")
-        show(table.title, table.columns, table.rows, right=table.columns[1:], wrap=table.columns[:1])
+    else:
+        for table in tables_with_gap(results, known):
+            if not out.is_terminal:
+                out.print(f"\n{table.title}")
+            show(table.title, table.columns, table.rows, right=table.columns[1:], wrap=table.columns[:1])
     if page is not None:
-        out.print(f"page: {page}")
+        write_page(results, page, known)
+        if not as_json:
+            out.print(f"page: {page}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from zenostat.lab.benchmark.bound_file import Bound, Key
@@ -16,13 +16,15 @@ from zenostat.topics.errors import InvalidConfig
 BOUND = "bound"
 
 
-def tables_with_gap(results: Results, bounds: Mapping[Key, Bound] | None) -> list[Table]:
-    """Return the tables of results, and that of the shares of the gap if there are bounds.
+def tables_with_gap(results: Results, bounds: Mapping[Key, Bound] | None) -> Iterator[Table]:
+    """Yield the tables of results, and that of the shares of the gap if there are bounds.
 
     Raises:
         InvalidConfig: see `score_rows` and `gap_table`.
     """
-    return [*tables(results), *([gap_table(results.rows.values(), bounds)] if bounds else [])]
+    yield from tables(results)
+    if bounds:
+        yield gap_table(results.rows.values(), bounds)
 
 
 def gap_share(reward: float, baseline: float, bound: float) -> float | None:

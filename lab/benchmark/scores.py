@@ -230,7 +230,8 @@ def _by_controller(rows: Iterable[Row]) -> dict[str, dict[tuple[Any, ...], Row]]
 
 
 def _shared(by_controller: Mapping[str, Mapping[tuple[Any, ...], Row]]) -> set[tuple[Any, ...]]:
-    return set.intersection(*(_complete(keyed) for keyed in by_controller.values()))
+    episodes = [_complete(keyed) for keyed in by_controller.values()]
+    return set.intersection(*episodes) if episodes else set()
 
 
 def _trainings(keyed: Mapping[tuple[Any, ...], Row]) -> list[int | None]:

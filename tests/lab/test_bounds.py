@@ -16,7 +16,7 @@ from support.examples import examples
 from typer.testing import CliRunner
 
 from zenostat.cli.commands import app
-from zenostat.lab.benchmark import SETS, Row, Task, bound_search, load_results, run_benchmark
+from zenostat.lab.benchmark import SETS, Results, Row, Task, bound_search, load_results, run_benchmark
 from zenostat.lab.benchmark.bound_file import Bound, bound_path, definition_of, load_bound, load_bounds, packed
 from zenostat.lab.benchmark.bound_moves import (
     Actions,
@@ -319,8 +319,23 @@ def test_gap__table_has_the_bound_and_leaves_out_episodes_without_a_gap() -> Non
     assert cells["baseline"][1] == "0.000"
     with pytest.raises(InvalidConfig, match="has a bound above the baseline control"):
         gap_table(rows, {bound.key: bound for bound in known[2:]})
+    with pytest.raises(InvalidConfig, match="has a bound above the baseline control"):
+        gap_table(rows, {known[3].key: known[3]})  # of an episode without rows
     with pytest.raises(InvalidConfig, match="run the controller 'baseline' too"):
         gap_table(rows[3:], {bound.key: bound for bound in known})
+
+
+def test_gap__command_shows_the_tables_before_it_says_that_no_bound_is_of_their_episodes(tmp_path: Path) -> None:
+    folder = tmp_path / "bounds"
+    folder.mkdir()
+    example().save(folder)
+    results = Results("smoke")
+    results.add([row("baseline", 1, -10.0), row("rbc", 1, -9.0)])
+    results.save(tmp_path / "r.json")
+    done = CliRunner().invoke(app, ["benchmark", "--show", str(tmp_path / "r.json"), "--bounds", str(folder)])
+    assert isinstance(done.exception, InvalidConfig)
+    assert "no episode of all controllers has a bound above the baseline control" in str(done.exception)
+    assert "Scores by building" in done.output
 
 
 # Real episodes
