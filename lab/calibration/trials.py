@@ -251,7 +251,7 @@ class Trials:
         return result if known == (self._identity, values) else None
 
     def _thresholds(self) -> dict[int, float]:
-        """Return the medians of finished trials by period, above which a trial is ended, as Optuna's median pruner."""
+        """Return the medians of finished trials by period, above which a trial is ended, as `LatestMedianPruner`."""
         pruner = self.config.pruner
         complete = [each.result["stages"] for each in self.results if each.is_complete]
         if not isinstance(pruner, Pruner) or len(complete) < max(pruner.startup_trials, 1):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import re
 import warnings
 from collections.abc import Iterator, Mapping
@@ -71,10 +72,24 @@ def open_storage(url: str) -> Any:
         )
 
 
+class LatestMedianPruner(optuna.pruners.MedianPruner):
+    """Median pruner by the latest value of a trial.
+
+    Optuna's own compares the best value so far, so a mean that begins with the mildest weather would never be pruned,
+    nor a training that was good before.
+    """
+
+    def prune(self, study: optuna.Study, trial: optuna.trial.FrozenTrial) -> bool:
+        """Return whether the latest value is worse than the median of finished trials at the same step."""
+        latest, step = copy.copy(trial), trial.last_step
+        latest.intermediate_values = {} if step is None else {step: trial.intermediate_values[step]}
+        return super().prune(study, latest)
+
+
 def make_pruner(settings: Pruner | Any) -> optuna.pruners.BasePruner:
     """Return the pruner of a study."""
     if not settings:
         return optuna.pruners.NopPruner()
     if settings.kind == "halving":
         return optuna.pruners.SuccessiveHalvingPruner(min_resource=max(settings.warmup_steps, 1))
-    return optuna.pruners.MedianPruner(settings.startup_trials, settings.warmup_steps)
+    return LatestMedianPruner(settings.startup_trials, settings.warmup_steps)

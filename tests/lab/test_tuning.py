@@ -21,8 +21,9 @@ from support.tuning import kill_first_process  # noqa: E402
 
 from zenostat.lab.tuning.search_space import distribution  # noqa: E402
 from zenostat.lab.tuning.study import Tuning, open_study, reason_of  # noqa: E402
-from zenostat.lab.tuning.study_config import Range  # noqa: E402
+from zenostat.lab.tuning.study_config import Pruner, Range  # noqa: E402
 from zenostat.lab.tuning.study_figures import write_results  # noqa: E402
+from zenostat.lab.tuning.study_storage import make_pruner  # noqa: E402
 from zenostat.lab.tuning.tuning_file import read_tuning  # noqa: E402
 
 TRAINING: dict[str, Any] = {
@@ -130,6 +131,25 @@ def test_open_study__waits_for_the_machine_that_is_creating_the_study(tmp_path: 
     created.set_user_attr("zenostat", {})  # as between the creation and what is written after it
     threading.Timer(0.5, created.set_user_attr, ["zenostat", identity]).start()
     assert open_study(config).study_name == "s"
+
+
+@pytest.mark.parametrize(("direction", "sign"), [("maximize", 1.0), ("minimize", -1.0)])
+@pytest.mark.parametrize(
+    ("values", "pruned"), [([-11.0, -30.0], True), ([-14.0, -27.0], False), ([-11.0, -28.0], False), ([-14.0], False)]
+)
+def test_median_pruner__compares_the_value_at_the_step(
+    direction: str, sign: float, values: list[float], *, pruned: bool
+) -> None:
+    study = optuna.create_study(direction=direction, pruner=make_pruner(Pruner(startup_trials=3, warmup_steps=2)))
+    for means in ([-13.0, -27.0], [-12.0, -28.0], [-12.5, -29.0]):  # first in mild weather, then in all
+        finished = study.ask()
+        for step, value in enumerate(means, 1):
+            finished.report(sign * value, step)
+        study.tell(finished, sign * means[-1])
+    trial = study.ask()
+    for step, value in enumerate(values, 1):
+        trial.report(sign * value, step)
+    assert bool(trial.should_prune()) is pruned
 
 
 @pytest.mark.filterwarnings("ignore:Heartbeat of storage")
