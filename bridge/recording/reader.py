@@ -17,20 +17,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
-import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
+from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from zenostat.bridge.recording.file import MAGIC, open_regular
+from zenostat.bridge.recording.records import MESSAGE, chunk_data, chunk_records, is_cut_off, next_record
 from zenostat.topics import codec, recording
 from zenostat.topics.errors import BadMessage, InvalidConfig, InvalidRecording
 from zenostat.topics.messages import SCHEMA_VERSION, Geometry, Manifest, Systems
 from zenostat.topics.printable import replace_controls, replace_controls_in_lines
 
-_HEAD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<HIQQ")
-_MAX_CHUNK = 1 << 30
 _WRAP = 0xFFFFFFFF
 _IS_MESSAGE, _IS_CHANNEL, _IS_SCHEMA = int(Opcode.MESSAGE), int(Opcode.CHANNEL), int(Opcode.SCHEMA)
 
@@ -130,7 +127,7 @@ class RecordingReader:
         self.about: dict[str, str] = {}
         attached: dict[str, bytes] = {}
         position = self._file.tell()
-        while (record := self._next_record()) is not None:
+        while (record := next_record(self._file, self._size)) is not None:
             opcode, body = record
             if opcode in (Opcode.CHUNK, Opcode.DATA_END):
                 break
@@ -138,7 +135,8 @@ class RecordingReader:
             position = self._file.tell()
         self._begin, self.attachments = position, attached
         if not self.about or recording.PROVENANCE not in attached:
-            raise InvalidRecording(f"{self.path} ends before its first message; nothing can be read from it")
+            how = "ends" if is_cut_off(self._file, position, self._size) else f"is damaged at byte {position:,},"
+            raise InvalidRecording(f"{self.path} {how} before its first message; nothing can be read from it")
         try:
             self.root = self.about["root"]
             self.manifest = Manifest.model_validate_json(attached[recording.MANIFEST])
@@ -185,16 +183,6 @@ class RecordingReader:
                     f"({words} {known}) cannot read it"
                 )
 
-    def _next_record(self) -> tuple[int, bytes] | None:
-        """Return opcode and content of the next record; None if the file ends before it is complete."""
-        head = self._file.read(_HEAD.size)
-        if len(head) < _HEAD.size:
-            return None
-        opcode, length = _HEAD.unpack(head)
-        if length > self._size - self._file.tell():
-            return None
-        return opcode, self._file.read(length)
-
     # Messages
 
     def messages(self, schemas: Collection[str] | None = None) -> Iterator[RecordedItem]:
@@ -210,9 +198,9 @@ class RecordingReader:
         expected = 0
         while True:
             at = self._file.tell()
-            record = self._next_record()
+            record = next_record(self._file, self._size)
             if record is None:
-                end.text = self._cut_off(at)
+                self._describe_early_end(at)
                 return
             opcode, body = record
             if opcode == Opcode.CHUNK:
@@ -238,9 +226,9 @@ class RecordingReader:
                     return
             elif opcode == Opcode.DATA_END:
                 self._file.seek(-len(MAGIC), io.SEEK_END)
-                end.is_complete = self._file.read() == MAGIC
+                end.is_complete = bool(end.metadata) and self._file.read() == MAGIC
                 if not end.is_complete:
-                    end.text = self._cut_off(at)
+                    self._describe_early_end(at)
                 return
 
     def _cut(
@@ -253,41 +241,47 @@ class RecordingReader:
     ) -> tuple[list[RecordedItem], int]:
         """Return the selected messages of a chunk, and the number expected of the next message; -1 after a gap."""
         items: list[RecordedItem] = []
-        position, size = 0, len(data)
-        head, message, prefix = _HEAD.unpack_from, _MESSAGE.unpack_from, len(self.root) + 1
-        while position < size:
-            opcode, length = head(data, position)
-            position += 9
+        message, prefix = MESSAGE.unpack_from, len(self.root) + 1
+        for opcode, begin, stop in chunk_records(data):
             if opcode == _IS_MESSAGE:
-                number, sequence, time_ns, _ = message(data, position)
+                number, sequence, time_ns, _ = message(data, begin)
                 if sequence != expected:
                     return items, -1
                 expected = expected + 1 & _WRAP
                 channel = channels.get(number)
                 if channel is not None:
-                    items.append(RecordedItem(*channel, time_ns, data[position + 22 : position + length]))
+                    items.append(RecordedItem(*channel, time_ns, data[begin + MESSAGE.size : stop]))
             elif opcode == _IS_SCHEMA:
-                schema = Schema.read(ReadDataStream(io.BytesIO(data[position : position + length])))
+                schema = Schema.read(ReadDataStream(io.BytesIO(data[begin:stop])))
                 names[schema.id] = replace_controls(schema.name)
             elif opcode == _IS_CHANNEL:
-                found_channel = Channel.read(ReadDataStream(io.BytesIO(data[position : position + length])))
+                found_channel = Channel.read(ReadDataStream(io.BytesIO(data[begin:stop])))
                 name = names[found_channel.schema_id]
                 is_selected = schemas is None or name in schemas
                 topic = replace_controls(found_channel.topic[prefix:])
                 channels[found_channel.id] = (topic, name) if is_selected else None
-            position += length
         return items, expected
 
-    def _cut_off(self, at: int) -> str:
+    def _describe_early_end(self, at: int) -> None:
+        """Set why no message follows byte `at`, which is not the end of a completed file."""
+        if not is_cut_off(self._file, at, self._size):
+            text = f"it is damaged at byte {at:,}, and complete data follow; what is before it is read"
+            self.end.text, self.end.is_damaged = text, True
+        elif self._is_locked():
+            self.end.text = "it is still being recorded"
+        else:
+            self.end.text = (
+                f"it was cut off after byte {at:,}, because the node was killed, which loses up to the last second, or "
+                "its disk was full"
+            )
+
+    def _is_locked(self) -> bool:
         try:
             fcntl.flock(self._file, fcntl.LOCK_SH | fcntl.LOCK_NB)
             fcntl.flock(self._file, fcntl.LOCK_UN)
         except BlockingIOError:
-            return "it is still being recorded"
-        return (
-            f"it was cut off after byte {at:,}, because the node was killed, which loses up to the last second, or its "
-            "disk was full"
-        )
+            return True
+        return False
 
 
 def _read_summary(body: bytes, at: int, messages: int, end: RecordingEnd) -> None:
@@ -307,17 +301,3 @@ def _read_summary(body: bytes, at: int, messages: int, end: RecordingEnd) -> Non
 
 def _printable(metadata: dict[str, str]) -> dict[str, str]:
     return {name: replace_controls_in_lines(text) for name, text in metadata.items()}
-
-
-def chunk_data(body: bytes) -> bytes:
-    """Return the content of a chunk; `ValueError` if it is damaged."""
-    try:
-        chunk = Chunk.read(ReadDataStream(io.BytesIO(body)))
-        if chunk.compression != "zstd" or chunk.uncompressed_size > _MAX_CHUNK:
-            raise ValueError(f"a chunk with compression {chunk.compression!r} and {chunk.uncompressed_size} bytes")
-        data = zstandard.decompress(chunk.data, max_output_size=chunk.uncompressed_size)
-    except Exception as error:  # the libraries raise what their parsing meets
-        raise ValueError(str(error)) from None
-    if len(data) != chunk.uncompressed_size or zlib.crc32(data) != chunk.uncompressed_crc:
-        raise ValueError("a chunk's checksum does not match its content")
-    return data

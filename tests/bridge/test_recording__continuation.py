@@ -1,17 +1,19 @@
 """A recorder goes on with a file that ended anywhere: what was complete stays, and the whole is one recording."""
 
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from support.recordings import chunk_ends, new_recorder
+from support.recordings import chunk_ends, damaged_heads, new_recorder, record_samples
 
 from zenostat.bridge.recording.audit_chain import check_audit
 from zenostat.bridge.recording.channels import EVENTS, SAMPLES
-from zenostat.bridge.recording.continuation import MAX_DROPPED, has_messages, read_written
+from zenostat.bridge.recording.continuation import has_messages, read_written
 from zenostat.bridge.recording.file import MAGIC, open_recording, open_written
 from zenostat.bridge.recording.reader import RecordingReader
+from zenostat.bridge.recording.records import MAX_DROPPED
 from zenostat.topics import codec
 from zenostat.topics.errors import InvalidRecording
 from zenostat.topics.keys import COMMAND
@@ -124,3 +126,15 @@ def test_recording__damage_in_the_last_chunk_of_a_complete_file_is_told(complete
     path.write_bytes(data)
     with pytest.raises(InvalidRecording, match="complete data follow"):
         read_written(path)
+
+
+def test_recording__damaged_opcode_or_length_is_never_overwritten(scratch: Path) -> None:
+    whole, path = record_samples(scratch / "whole.mcap", 2600), scratch / "damaged.mcap"
+    samples = len(numbers_in(whole))
+    for content in damaged_heads(whole):
+        path.write_bytes(content)
+        with suppress(InvalidRecording):
+            assert has_messages(path)
+        with suppress(InvalidRecording), RecordingReader(path):
+            written = read_written(path)
+            assert written.counts[SAMPLES] == samples

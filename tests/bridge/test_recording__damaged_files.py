@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.opcode import Opcode
 from mcap.writer import Writer
-from support.recordings import chunk_ends, record_samples, rewrite
+from support.recordings import chunk_ends, damaged_heads, record_samples, records, rewrite
 
 from zenostat.bridge.recording.reader import RecordedItem, RecordingReader
 from zenostat.topics.errors import InvalidRecording
@@ -74,6 +74,34 @@ def test_recording__damaged_chunk_is_named_and_what_is_before_it_is_read(whole: 
     assert "it is damaged at byte" in reader.end.text
 
 
+def test_recording__damaged_opcode_or_length_never_hides_messages(whole: Path, tmp_path: Path) -> None:
+    for content in damaged_heads(whole):
+        (tmp_path / "damaged.mcap").write_bytes(content)
+        with suppress(InvalidRecording):
+            steps, reader = read(tmp_path / "damaged.mcap")
+            assert reader.end.is_damaged or (reader.end.is_complete and steps == [*range(SAMPLES)])
+
+
+def test_recording__damaged_length_before_the_first_message_is_named(whole: Path, tmp_path: Path) -> None:
+    data = bytearray(whole.read_bytes())
+    begin = next(begin for opcode, begin, _ in records(whole) if opcode == Opcode.ATTACHMENT)
+    data[begin + 6] ^= 1
+    (tmp_path / "damaged.mcap").write_bytes(data)
+    with pytest.raises(InvalidRecording, match=rf"is damaged at byte {begin:,}, before its first message"):
+        RecordingReader(tmp_path / "damaged.mcap")
+
+
+def test_recording__damaged_length_is_not_described_as_the_end_of_a_killed_node(whole: Path, tmp_path: Path) -> None:
+    data, begin = bytearray(whole.read_bytes()), chunk_ends(whole)[1]
+    data[begin + 6] ^= 1  # in the length of the message index
+    for end in (len(data), chunk_ends(whole)[4]):  # of a completed file, and of a killed node's
+        (tmp_path / "damaged.mcap").write_bytes(data[:end])
+        steps, reader = read(tmp_path / "damaged.mcap")
+        assert steps == [*range(100)]
+        assert reader.end.is_damaged
+        assert f"it is damaged at byte {begin:,}, and complete data follow" in reader.end.text
+
+
 def test_recording__missing_chunk_is_a_gap(whole: Path, tmp_path: Path) -> None:
     data, ends = whole.read_bytes(), chunk_ends(whole)
     (tmp_path / "gap.mcap").write_bytes(data[: ends[2]] + data[ends[3] :])
@@ -84,9 +112,8 @@ def test_recording__missing_chunk_is_a_gap(whole: Path, tmp_path: Path) -> None:
 
 
 def test_recording__last_chunk_that_is_not_recognized_is_a_gap(whole: Path, tmp_path: Path) -> None:
-    data, end = bytearray(whole.read_bytes()), chunk_ends(whole)[-1]
-    heads = (at for at in range(end - 9) if at + 9 + int.from_bytes(data[at + 1 : at + 9], "little") == end)
-    data[next(at for at in heads if data[at] == Opcode.CHUNK)] = Opcode.MESSAGE_INDEX
+    data = bytearray(whole.read_bytes())
+    data[[begin for opcode, begin, _ in records(whole) if opcode == Opcode.CHUNK][-1]] = Opcode.MESSAGE_INDEX
     (tmp_path / "gap.mcap").write_bytes(data)
     steps, reader = read(tmp_path / "gap.mcap")
     assert steps == [*range(SAMPLES - 50)]

@@ -3,7 +3,7 @@
 import itertools
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -100,15 +100,36 @@ def record_samples(path: Path, samples: int, *, size: int = 400, **settings: Any
     return path
 
 
+def records(path: Path) -> list[tuple[int, int, int]]:
+    """Return the opcode of each record of a file, and where it begins and ends."""
+    data, position, places = path.read_bytes(), 8, []
+    while position < len(data) - 8:
+        end = position + 9 + int.from_bytes(data[position + 1 : position + 9], "little")
+        places.append((data[position], position, end))
+        position = end
+    return places
+
+
 def chunk_ends(path: Path) -> list[int]:
     """Return the offsets at which the chunks of a file end."""
-    data, position, ends = path.read_bytes(), 8, []
-    while position < len(data) - 8:
-        length = int.from_bytes(data[position + 1 : position + 9], "little")
-        if data[position] == Opcode.CHUNK:
-            ends.append(position + 9 + length)
-        position += 9 + length
-    return ends
+    return [end for opcode, _, end in records(path) if opcode == Opcode.CHUNK]
+
+
+def damaged_heads(path: Path) -> Iterator[bytes]:
+    """Iterate over the contents of a file with each bit of an opcode or a length changed.
+
+    Of records of the same kind, the first, the second and the last are changed; the summary section is not.
+    """
+    data, kinds = path.read_bytes(), dict[int, list[int]]()
+    for opcode, begin, _ in records(path):
+        kinds.setdefault(opcode, []).append(begin)
+        if opcode == Opcode.DATA_END:
+            break
+    for begins in kinds.values():
+        for begin, bit in itertools.product({*begins[:2], begins[-1]}, range(72)):
+            changed = bytearray(data)
+            changed[begin + bit // 8] ^= 1 << bit % 8
+            yield changed
 
 
 def cut(
