@@ -20,8 +20,8 @@ from zenostat.topics.fault_plan import AnyFault, FaultPlan, When
 
 FOREVER = 2**62
 _DAY_S, _WEEK_S = 86_400, 7 * 86_400
-_MAX_CYCLE = 2_000_000
-"""Largest number of samples of a table of clock times."""
+_BLOCK = 2_000_000
+"""Largest number of samples of a table of clock times, and of a part of a search."""
 
 Clock = Callable[[NDArray[np.int64]], NDArray[np.bool_]]
 """Function of steps, which returns whether clock and weekday at each are those of a fault; same shape."""
@@ -59,9 +59,9 @@ class StepGrid:
 
     @property
     def cycle(self) -> int:
-        """Number of samples after which clock times repeat; at most `_MAX_CYCLE`."""
+        """Number of samples after which clock times repeat."""
         step_us = round(self.step_s * 1e6)
-        return min(math.lcm(round(_WEEK_S * 1e6), step_us) // step_us, _MAX_CYCLE)
+        return math.lcm(round(_WEEK_S * 1e6), step_us) // step_us
 
     def _floor(self, elapsed_s: float) -> int:
         return math.floor(elapsed_s / self.step_s + 1e-9)
@@ -138,7 +138,7 @@ def clock(when: When, grid: StepGrid) -> Clock | None:
             met &= np.isin(seconds // _DAY_S, [WEEKDAYS.index(day) for day in when.weekdays])
         return met
 
-    if grid.cycle == _MAX_CYCLE:
+    if grid.cycle > _BLOCK:
         return on
     table = on(np.arange(grid.cycle))  # a look-up costs less in each timestep
     return lambda steps: table[steps % len(table)]
@@ -152,7 +152,9 @@ def check(name: str, when: When, grid: StepGrid) -> None:
         raise InvalidConfig(f"fault {name!r}: {error}") from None
     on = clock(when, grid)
     if first < end and on is not None:
-        end = end if on(np.arange(first, min(end, first + grid.cycle))).any() else first
+        stop = min(end, first + grid.cycle)
+        blocks = (np.arange(begin, min(begin + _BLOCK, stop)) for begin in range(first, stop, _BLOCK))
+        end = end if any(on(block).any() for block in blocks) else first
     if first >= end:
         raise InvalidConfig(f"fault {name!r} is never active: no sample is in its window; samples are {grid}")
 

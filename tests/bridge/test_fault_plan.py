@@ -9,7 +9,7 @@ import pytest
 from support.point_faults import BEGIN, NAN, plan_of, point_faults, room
 
 from zenostat.bridge.faults import read_plan
-from zenostat.bridge.faults.schedule import StepGrid, clock, span
+from zenostat.bridge.faults.schedule import StepGrid, check, clock, span
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.fault_plan import When
 
@@ -144,3 +144,10 @@ def test_fault_schedule__hours_are_those_of_the_clock_for_any_timestep(step_s: f
 def test_point_faults__windows_that_last_longer_than_any_episode_are_refused() -> None:
     with pytest.raises(ValueError, match="less than 2147483648"):
         plan_of({"kind": "drop", "points": "power", "when": {"probability": 0.1, "lasts_steps": 2**63}})
+
+
+def test_fault_schedule__looks_at_all_clock_times_of_short_timesteps() -> None:
+    when = When(weekdays=["sun"])
+    check("sunday", when, StepGrid(0.25, BEGIN, BEGIN + timedelta(days=7)))  # 2.4 million samples, from a Monday
+    with pytest.raises(InvalidConfig, match="'sunday' is never active"):
+        check("sunday", when, StepGrid(0.25, BEGIN, BEGIN + timedelta(days=5)))
