@@ -15,12 +15,17 @@ def atomic_file(path: Path) -> Iterator[Path]:
     """Yield a temporary path in the same folder, whose file replaces `path` on success and is removed on an error.
 
     Readers see the previous file or the complete new one. The temporary name has the suffix of `path`, from which some
-    libraries choose the format.
+    libraries choose the format. An `OSError` of a write, which has no file's name, or that of the temporary file, gets
+    that of `path`.
     """
     temporary = _temporary(path)
     try:
         yield temporary
         temporary.replace(path)
+    except OSError as error:
+        if error.filename is None or str(error.filename) == str(temporary):
+            error.filename = str(path)
+        raise
     finally:
         temporary.unlink(missing_ok=True)
 

@@ -34,6 +34,19 @@ def test_atomic_file__error_leaves_the_old_file_and_nothing_else(tmp_path: Path)
     assert path.read_text() == "old"
 
 
+def test_atomic_file__error_of_a_write_names_the_file(tmp_path: Path) -> None:
+    def write(path: Path, target: Path) -> None:
+        with atomic_file(path), target.open("wb", buffering=0) as file:
+            file.write(b"x")
+
+    with pytest.raises(OSError, match="No space left on device") as full:
+        write(tmp_path / "a.csv", Path("/dev/full"))
+    assert full.value.filename == str(tmp_path / "a.csv")
+    with pytest.raises(FileNotFoundError) as other:
+        write(tmp_path / "a.csv", tmp_path / "nowhere" / "b")
+    assert other.value.filename == str(tmp_path / "nowhere" / "b")
+
+
 @pytest.mark.parametrize(
     ("path", "text"),
     [
