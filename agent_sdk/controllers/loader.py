@@ -32,7 +32,7 @@ def load_controller(text: str) -> Callable[..., ControllerProtocol]:
             such a file.
 
     Raises:
-        UnknownName: no such name, file, module or class.
+        UnknownName: no such name, folder, file, module or class.
         InvalidConfig: loading the file fails, or the class is not a controller; or a controller file is invalid, or
             names code.
     """
@@ -49,6 +49,8 @@ def load_controller(text: str) -> Callable[..., ControllerProtocol]:
 
         return load_policy(text)
     source, colon, name = text.rpartition(":")
+    if not colon and "/" in text and not text.endswith(".py"):
+        raise UnknownName(f"there is no folder {Path(text).expanduser().absolute()} to load a controller from")
     if not colon or not source or not name:
         known = did_you_mean(text, CONTROLLERS, limit=len(CONTROLLERS))
         raise UnknownName(

@@ -262,6 +262,8 @@ def test_load_controller__file_beside_modules_with_the_names_of_our_packages(
     ("text", "error", "message"),
     [
         ("rcb", UnknownName, r"no controller 'rcb'; .*'rbc'.*path/to/file\.py:MyController"),
+        ("training/none", UnknownName, r"there is no folder /.*/training/none to load a controller from"),
+        ("nowhere/mine.py", UnknownName, r"no controller 'nowhere/mine\.py'; .*path/to/file\.py:MyController"),
         ("nowhere/mine.py:Mine", UnknownName, r"there is no file .*/nowhere/mine\.py"),
         ("mine.py:Mien", UnknownName, r"there is no 'Mien' in mine\.py; did you mean 'Mine'"),
         ("mine.py:VALUE", InvalidConfig,
