@@ -29,6 +29,7 @@ class Comfort:
         zones: indices of the zones' air temperatures among the values of a sample, shape (zones,).
         people: indices of the zones' occupant counts, None for a zone without one.
         follows_setpoints: whether each zone's band follows its setpoints; else all zones have the band of the day.
+        setpoints: indices of the values of a sample that the band of each zone follows; none where it follows no value.
     """
 
     def __init__(
@@ -39,11 +40,13 @@ class Comfort:
         band: _Band,
         *,
         follows_setpoints: bool = False,
+        setpoints: Sequence[Sequence[int]] | None = None,
     ) -> None:
         self.zones = np.array(zones, np.intp)
         self.people = tuple(people)
         self.source = f"{counted(len(zones), 'zone')}, {source}"
         self.follows_setpoints = follows_setpoints
+        self.setpoints = [()] * len(zones) if setpoints is None else setpoints
         self._band = band
         self._always_occupied = np.array([index is None for index in people], bool)
         self._counts = np.array([index or 0 for index in people], np.intp)

@@ -56,7 +56,15 @@ def display_comfort(manifest: Manifest, reward: Reward | None = None) -> Comfort
         return np.append(low, rest[0])[places], np.append(high, rest[1])[places]
 
     source = rated.source.partition(", ")[2]
-    return Comfort(source, shown.zones.tolist(), shown.people, band, follows_setpoints=rated.follows_setpoints)
+    setpoints = [rated.setpoints[place] if place >= 0 else () for place in places]
+    return Comfort(
+        source,
+        shown.zones.tolist(),
+        shown.people,
+        band,
+        follows_setpoints=rated.follows_setpoints,
+        setpoints=setpoints,
+    )
 
 
 def _from_band(reward: ComfortBand, manifest: Manifest) -> Comfort:
@@ -77,6 +85,7 @@ def _from_setpoints(reward: MultiZoneReward, manifest: Manifest) -> Comfort:
         _occupants(air, manifest),
         lambda values, _: (values[heat] - threshold, values[cool] + threshold),
         follows_setpoints=True,
+        setpoints=list(zip(heat, cool, strict=True)),
     )
 
 

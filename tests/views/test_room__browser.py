@@ -156,10 +156,11 @@ def test_room__trends_have_the_history_from_before_the_page(ada: Visitor, room: 
     page.locator(".legend li").first.wait_for()
     page.locator(".trend-panel canvas").wait_for()
     with httpx.Client(cookies=cookies(page)) as client:
-        query = {"point": "core_zn_air_temperature", "max": "1000"}
+        query = {"point": "core_zn_air_temperature", "max": "1000", "band": "all"}
         answer = client.get(f"{room.url}/api/nodes/office/history", params=query).json()
     history = bus.history("office", ["core_zn_air_temperature"])
     assert answer["points"][0]["values"] == pytest.approx(history["core_zn_air_temperature"].tolist(), rel=1e-6)
+    assert answer["band"] == {"low": [23.0] * len(history), "high": [26.0] * len(history)}
     assert answer["time_ms"] == history.time.astype("datetime64[ms]").astype(int).tolist()
 
 

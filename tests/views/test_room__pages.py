@@ -498,6 +498,30 @@ def test_chart__values_of_each_unit_are_within_their_scale(ada: Visitor, room: A
         assert high - low < 2 * (values[2] - values[0])
 
 
+BAND = """async ([module, low, high]) => {
+    const { chart } = await import(module), root = document.createElement("div");
+    document.body.append(root);
+    const time = low.map((_, place) => 1e9 + 3600 * place), values = low.map((_, place) => 20 + place);
+    const series = [{ label: "air", unit: "°C", color: "#2878dc", values }];
+    const plot = chart(root, { time, series, band: { unit: "°C", low, high } });
+    await new Promise(requestAnimationFrame);
+    const { data } = plot.ctx.getImageData(0, 0, plot.ctx.canvas.width, plot.ctx.canvas.height);
+    const isShaded = (time, value) => {
+        const at = Math.round(plot.valToPos(value, "unit °C", true)) * plot.ctx.canvas.width;
+        return data[4 * (at + Math.round(plot.valToPos(time, "x", true))) + 3] > 0;
+    };
+    return [0.4, 1.4, 2.4, 3.4].map((hour) => [20.3, 22.3].map((value) => isShaded(1e9 + 3600 * hour, value)));
+}"""
+
+
+def test_chart__band_is_that_of_each_timestep(ada: Visitor, room: Any) -> None:
+    page = ada.open(room.url)
+    page.locator(".card").first.wait_for()
+    low, high = [20.1, 20.1, 22.1, None, 20.1], [20.9, 20.9, 22.9, None, 22.9]
+    shaded = page.evaluate(BAND, [f"{room.url}/static/trends.js", low, high])
+    assert shaded == [[True, False], [False, True], [False, False], [True, True]]
+
+
 FORMAT = "async ([module, name, ...values]) => (await import(module))[name](...values)"
 
 

@@ -10,6 +10,7 @@ from support.builders import actuator, manifest, meter, sensor, view
 
 pytest.importorskip("starlette")
 
+from zenostat.bridge.client.history import History
 from zenostat.topics.errors import InvalidConfig, NodeNotFound
 from zenostat.topics.messages import (
     Geometry,
@@ -20,13 +21,14 @@ from zenostat.topics.messages import (
     SystemLoop,
     SystemNode,
     Systems,
+    Task,
 )
 from zenostat.topics.messages.geometry import ZoneGeometry
 from zenostat.views.room.description import describe
 from zenostat.views.room.numbers import number, numbers, to_json
 from zenostat.views.room.operations import read_operation
 from zenostat.views.room.schematic import type_words
-from zenostat.views.room.series import simulated_time
+from zenostat.views.room.series import band_content, band_points, band_zones, simulated_time
 from zenostat.views.room.state import zone_states
 from zenostat.views.room.storeys import storeys
 from zenostat.views.room.updates import Updates
@@ -168,6 +170,43 @@ def test_zone_states__deviation_has_the_sign_and_color_of_its_side() -> None:
     red, blue = ([int(state["color"][at : at + 2], 16) for state in states] for at in (1, 5))
     assert red[0] < blue[0]
     assert red[2] > blue[2]
+
+
+def test_band__limits_are_those_of_the_day_of_each_sample() -> None:
+    reward = {"kind": "linear", "winter": [20.0, 23.5], "summer": [23.0, 26.0], "summer_begin": [7, 2]}
+    of = manifest(sensors=[sensor("a"), sensor("b")], task=Task(reward=reward))
+    description = describe(of, None)
+    history = History(of, 0, 0, ("a",), ("degC",), 48, 0, np.array([0, 48, 96, 144]), np.full((4, 1), 24.0))
+    zones = band_zones(description, "all")
+    assert band_points(description, zones) == {}
+    winter, summer = (20.0, 23.5), (23.0, 26.0)  # the timestep that ends at midnight is of 1 July
+    low, high = zip(winter, winter, winter, summer, strict=True)
+    assert band_content(description, history, zones) == {"low": [*low], "high": [*high]}
+    assert band_content(description, history, band_zones(description, None))["low"] == [None] * 4
+
+
+def test_band__limits_follow_the_setpoints_of_the_zone() -> None:
+    setpoints = {"b": ["b_heat", "b_cool"], "c": ["c_heat", "c_cool"]}
+    names = ("a", "b", "c", "b_heat", "b_cool", "c_heat", "c_cool")
+    variables = dict.fromkeys(names[3:], "Schedule Value")
+    sensors = [sensor(name, variables.get(name, "Zone Air Temperature")) for name in names]
+    reward = {"kind": "multi_zone", "zones": setpoints, "threshold": 0.5}
+    of = manifest(sensors=sensors, task=Task(reward=reward))
+    description = describe(of, None)
+    zones = band_zones(description, "1")
+    assert band_points(description, zones) == {"b_heat": 3, "b_cool": 4}
+    values = np.array([[25.0, 15.0, 22.0], [30.0, 20.0, 22.0]])  # in another order than those of a sample
+    history = History(of, 0, 0, ("b_cool", "b_heat", "b"), ("degC",) * 3, 1, 0, np.arange(2), values)
+    assert band_content(description, history, zones) == {"low": [14.5, 19.5], "high": [25.5, 30.5]}
+    both = np.array([[15.0, 25.0, 15.0, 25.0], [20.0, 25.0, 15.0, 25.0]])
+    history = History(of, 0, 0, names[3:], ("degC",) * 4, 1, 0, np.arange(2), both)
+    assert band_content(description, history, range(1, 3)) == {"low": [14.5, None], "high": [25.5, None]}
+
+
+@pytest.mark.parametrize("text", ["", "-1", "2", "all zones", "9" * 99, "\u0663"])
+def test_band__other_zones_are_refused(text: str) -> None:
+    with pytest.raises(InvalidConfig, match="'all' or the number of a zone, 0 to 1, expected"):
+        band_zones(describe(manifest(sensors=[sensor("a"), sensor("b")]), None), text)
 
 
 def test_numbers__are_rounded_and_null_where_there_is_no_value() -> None:

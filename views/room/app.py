@@ -54,7 +54,14 @@ from zenostat.views.room.numbers import to_json
 from zenostat.views.room.operations import read_operation
 from zenostat.views.room.priorities import priority_arrays
 from zenostat.views.room.requests import RoomRequest, read_body
-from zenostat.views.room.series import MAX_SAMPLES, HistoryCache, history_content
+from zenostat.views.room.series import (
+    MAX_SAMPLES,
+    HistoryCache,
+    band_content,
+    band_points,
+    band_zones,
+    history_content,
+)
 from zenostat.views.room.started_nodes import TOPIC as STARTED
 from zenostat.views.room.started_nodes import StartedNodes
 from zenostat.views.room.training_pages import TrainingPages
@@ -276,10 +283,15 @@ class Room:
             raise InvalidConfig(f"max: 2 to {MAX_SAMPLES} samples expected, not {text[:40]!r}")
         max_samples = int(text)
         points, start, end = query.getlist("point"), query.get("from"), query.get("to")
-        history = await self._call(
-            watch, lambda: history_content(self._histories.history(watch, points, start, end, max_samples))
-        )
-        return _json(history)
+        description = _described(watch)
+        zones = band_zones(description, query.get("band"))
+
+        def content() -> dict[str, Any]:
+            followed = [name for name in band_points(description, zones) if name not in points]
+            history = self._histories.history(watch, [*points, *followed], start, end, max_samples)
+            return history_content(history, len(points)) | {"band": band_content(description, history, zones)}
+
+        return _json(await self._call(watch, content))
 
     async def _events(self, request: Request) -> Response:
         watch = self._node(request)

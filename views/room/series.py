@@ -9,15 +9,20 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Any
 
+import numpy as np
+
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.history import History
 from zenostat.topics.errors import InvalidConfig
+from zenostat.views.room.description import NodeDescription
 from zenostat.views.room.node_watch import NodeWatch
 from zenostat.views.room.numbers import numbers
 
 MAX_POINTS = 64
 MAX_SAMPLES = 20_000
 _KEPT = 32
+_MAX_FOLLOWED = 40
+"""Largest number of setpoints that are requested for the common band of all zones, besides the points of a page."""
 
 
 class HistoryCache:
@@ -55,8 +60,11 @@ class HistoryCache:
         return history
 
 
-def history_content(history: History) -> dict[str, Any]:
-    """Return a history for the page: times in ms, and for each point its values and the extremes between them."""
+def history_content(history: History, points: int | None = None) -> dict[str, Any]:
+    """Return a history for the page: times in ms, and for each point its values and the extremes between them.
+
+    `points`: number of the first ones that are wanted; None: all.
+    """
     extremes = history.stride > 1 and history.lows is not None and history.highs is not None
     return {
         "episode": history.episode,
@@ -71,9 +79,58 @@ def history_content(history: History) -> dict[str, Any]:
                 "lows": numbers(history.lows[:, column]) if extremes and history.lows is not None else None,
                 "highs": numbers(history.highs[:, column]) if extremes and history.highs is not None else None,
             }
-            for column, name in enumerate(history.points)
+            for column, name in enumerate(history.points[:points])
         ],
     }
+
+
+def band_zones(description: NodeDescription, text: str | None) -> range:
+    """Return the zones whose common comfort band is wanted.
+
+    Args:
+        description: of the node.
+        text: `all`, the number of a zone, or None for no band.
+
+    Raises:
+        InvalidConfig: it is neither.
+    """
+    zones = range(0 if description.comfort is None else len(description.comfort.zones))
+    if text is None:
+        return range(0)
+    if text == "all":
+        return zones if len(band_points(description, zones)) <= _MAX_FOLLOWED else range(0)
+    if not text.isdecimal() or len(text) >= 9 or int(text) not in zones:
+        raise InvalidConfig(f"band: 'all' or the number of a zone, 0 to {len(zones) - 1}, expected, not {text[:40]!r}")
+    return range(int(text), int(text) + 1)
+
+
+def band_points(description: NodeDescription, zones: range) -> dict[str, int]:
+    """Return the points that the bands of some zones follow: the index of each by its name in a history."""
+    comfort, points = description.comfort, description.content["points"]
+    if comfort is None:
+        return {}
+    return {points[index]["id"]: index for zone in zones for index in comfort.setpoints[zone]}
+
+
+def band_content(description: NodeDescription, history: History, zones: range) -> dict[str, list[float | None]]:
+    """Return the limits in degC of the common band of some zones at each sample of a history; None where they differ.
+
+    Args:
+        description: of the node.
+        history: with the `band_points` of the zones.
+        zones: numbers of zones; of none, all limits are None.
+    """
+    comfort, manifest, indices = description.comfort, description.manifest, band_points(description, zones)
+    columns = [history.points.index(name) for name in indices]
+    values = np.full(len(manifest.points), np.nan)
+    limits = np.full((2, len(history)), np.nan)
+    if comfort is not None and zones:
+        for row, end in enumerate(history.time.tolist()):
+            values[list(indices.values())] = history.values[row, columns]
+            low, high = (each[zones] for each in comfort.limits(values, end - manifest.timestep))
+            if (low == low[0]).all() and (high == high[0]).all():
+                limits[:, row] = low[0], high[0]
+    return {"low": numbers(limits[0]), "high": numbers(limits[1])}
 
 
 def times_ms(history: History) -> list[int]:

@@ -9,7 +9,6 @@ const uPlot = window.uPlot;
 export const COLORS = ["#2878dc", "#eb6e00", "#00903c", "#b44696", "#8a6fd1", "#c08a1e", "#19a0a5", "#e0566f", "#6b7f95", "#4f9a2f"];
 export const RANGES = [["6", "6 h"], ["24", "24 h"], ["72", "3 d"], ["168", "7 d"], ["all", "all"]];
 const MAX_SAMPLES = 1200, MAX_LINES = 24, MAX_AXES = 4;
-const NO_BAND = { unit: "", low: null, high: null };
 
 function css(name) {
   return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
@@ -37,7 +36,7 @@ function padded(low, high, unit) {
 /** Key of the scale of a unit: units are free texts, and `x` is the key of the time axis. */
 const scaleOf = (unit) => `unit ${unit}`;
 
-/** Create a chart of some series on an axis of times, or of steps; `series` have label, unit, color, values and optionally stepped, dash, lows, highs. */
+/** Create a chart of some series on an axis of times, or of steps; `series` have label, unit, color, values and optionally stepped, dash, lows, highs; `band` has a unit, and lists `low` and `high`. */
 export function chart(root, { time, series, band = null, height = 260, onZoom = null, onReset = null, range = null, isTime = true, least = 60 }) {
   const units = [...new Set(series.map((each) => each.unit))];
   const grid = css("--grid"), text = css("--muted");
@@ -88,15 +87,21 @@ export function chart(root, { time, series, band = null, height = 260, onZoom = 
   return plot;
 }
 
-/** Shade the comfort band: pairs of limits over the whole time axis. */
+/** Shade the comfort band: the limits of each sample hold over the timestep that it ends. */
 function drawBand(plot, { unit, low, high }) {
-  const key = scaleOf(unit), scale = plot.scales[key];
-  if (!scale || low === null || high === null || scale.min === null || scale.min === undefined) return;
+  const key = scaleOf(unit), scale = plot.scales[key], time = plot.data[0];
+  if (!scale || scale.min === null || scale.min === undefined) return;
   const { ctx } = plot, { left, top, width, height } = plot.bbox;
   const clamp = (value) => Math.min(top + height, Math.max(top, plot.valToPos(value, key, true)));
+  const end = (place) => (place < 0 ? left : place === time.length - 1 ? left + width : Math.round(plot.valToPos(time[place], "x", true)));
   ctx.save();
   ctx.fillStyle = css("--band");
-  ctx.fillRect(left, clamp(high), width, clamp(low) - clamp(high));
+  for (let first = 0, next; first < time.length; first = next) {
+    next = first + 1;
+    while (next < time.length && low[next] === low[first] && high[next] === high[first]) next += 1;
+    if (low[first] === null || high[first] === null) continue;
+    ctx.fillRect(end(first - 1), clamp(high[first]), end(next - 1) - end(first - 1), clamp(low[first]) - clamp(high[first]));
+  }
   ctx.restore();
 }
 
@@ -159,7 +164,7 @@ export class Trends {
 
   /** Ids of the points that the address asks for. */
   wanted() {
-    const { trend, zone } = view();
+    const { trend } = view();
     const { zones, points } = this.description;
     const name = (place) => (place === null || place === undefined ? null : points[place].id);
     const known = (list) => [...new Set(list)].filter((each) => each && this.byName.has(each));
@@ -168,7 +173,7 @@ export class Trends {
       const { facility, hvac, outdoor } = this.description;
       return known([name(facility?.point), name(hvac?.point), name(outdoor)]);
     }
-    const selected = zones[Number(zone)];
+    const selected = zones[this.selected()];
     if (selected) {
       return known([name(selected.temperature), name(selected.heating_actuator ?? selected.heating_setpoint),
         name(selected.cooling_actuator ?? selected.cooling_setpoint), name(selected.occupants), name(this.description.outdoor)]);
@@ -221,16 +226,19 @@ export class Trends {
     data.last = state.sample_step;
     data.time.push(seconds(state.time));
     data.names.forEach((name, column) => data.values[column].push(state.values[this.byName.get(name).place] ?? null));
+    const now = this.limits();
+    data.band.low.push(now.low);
+    data.band.high.push(now.high);
   }
 
   /** Add a sample of a node that keeps no history, such as a replay or a branch; the lines begin when they are chosen. */
   follow(state) {
     const names = this.names();
-    this.data ??= { names, stride: 1, last: -1, time: [], values: names.map(() => []) };
+    this.data ??= { names, stride: 1, last: -1, time: [], values: names.map(() => []), band: { low: [], high: [] } };
     const { data } = this;
     if (!names.length || state.sample_step <= data.last) return;
     this.append(data, state);
-    for (const list of [data.time, ...data.values]) if (list.length > MAX_SAMPLES) list.shift();
+    for (const list of [data.time, ...data.values, data.band.low, data.band.high]) if (list.length > MAX_SAMPLES) list.shift();
     this.draw();
   }
 
@@ -255,6 +263,7 @@ export class Trends {
     this.loading = true;
     const query = new URLSearchParams(names.map((name) => ["point", name]));
     query.set("max", MAX_SAMPLES);
+    query.set("band", this.selected() ?? "all");
     const [from, to] = this.span();
     if (from) query.set("from", from);
     if (to) query.set("to", to);
@@ -262,7 +271,8 @@ export class Trends {
       const answer = await get(`${nodePath(this.node, "history")}?${query}`);
       if (key !== this.key) return;
       this.data = { names, stride: answer.stride, last: answer.last_step, time: answer.time_ms.map((each) => each / 1000),
-        values: answer.points.map((each) => each.values), lows: answer.points.map((each) => each.lows), highs: answer.points.map((each) => each.highs) };
+        values: answer.points.map((each) => each.values), lows: answer.points.map((each) => each.lows), highs: answer.points.map((each) => each.highs),
+        band: answer.band };
       this.problem = "";
     } catch (error) { this.problem = error.message; } finally { this.loading = false; }
     if (!this.isClosed) this.draw();
@@ -283,12 +293,17 @@ export class Trends {
     });
   }
 
-  band() {
-    const { zone } = view();
-    const zones = this.state?.zones ?? [];
-    const selected = zones[Number(zone)], now = selected ?? zones[0];
+  /** Number of the zone that is chosen; null if none is. */
+  selected() {
+    const number = Number(view().zone);
+    return this.description.zones[number] ? number : null;
+  }
+
+  /** Present limits of the comfort band of the chosen zone, or of all zones if they have the same. */
+  limits() {
+    const zones = this.state.zones ?? [], selected = zones[this.selected()], now = selected ?? zones[0];
     const isCommon = zones.every((each) => each.low === now.low && each.high === now.high);
-    return now && (selected || isCommon) ? { unit: "°C", low: now.low, high: now.high } : null;
+    return now && (selected || isCommon) ? now : { low: null, high: null };
   }
 
   /** Why nothing is drawn. */
@@ -311,7 +326,7 @@ export class Trends {
     const shape = JSON.stringify([left, this.canvas.clientWidth, css("--grid"), next.map((each) => [each.name, each.unit])]);
     if (this.plot && shape === this.shape) {
       next.forEach((each, column) => Object.assign(this.lines[column], each));
-      this.shownBand = Object.assign(this.shownBand, this.band() ?? NO_BAND);
+      Object.assign(this.band, data.band);
       this.plot.setData([data.time, ...next.map((each) => each.values)]);
       this.tip(this.plot, this.lines);
       return;
@@ -321,8 +336,8 @@ export class Trends {
     this.shape = shape;
     const series = next;
     this.lines = series;
-    this.shownBand = { ...(this.band() ?? NO_BAND) };
-    this.plot = chart(this.canvas, { time: data.time, series, band: this.shownBand, height: this.canvas.clientWidth < 500 ? 220 : 290,
+    this.band = { unit: "°C", ...data.band };
+    this.plot = chart(this.canvas, { time: data.time, series, band: this.band, height: this.canvas.clientWidth < 500 ? 220 : 290,
       least: Math.max(1, this.description.step_s),
       onZoom: (from, to) => change({ from: iso(from), to: iso(to) }, { replace: true }),
       onReset: () => change({ from: null, to: null }, { replace: true }) });
@@ -352,7 +367,8 @@ function between(data, [from, to]) {
   const begin = from === null ? -Infinity : seconds(from), end = to === null ? Infinity : seconds(to);
   const isWithin = data.time.map((time) => time >= begin && time <= end);
   const cut = (list) => list && list.filter((_, place) => isWithin[place]);
-  return { ...data, time: cut(data.time), values: data.values.map(cut), lows: data.lows?.map(cut), highs: data.highs?.map(cut) };
+  return { ...data, time: cut(data.time), values: data.values.map(cut), lows: data.lows?.map(cut), highs: data.highs?.map(cut),
+    band: { low: cut(data.band.low), high: cut(data.band.high) } };
 }
 
 export function swatch(each) {
