@@ -310,6 +310,16 @@ def test_trends__range_drops_samples_that_are_older(ada: Visitor, room: Any, bus
     until(lambda: time_at(page, 0.0).endswith(f"{before % 24:02}:00"), "the chart begins six hours ago")
 
 
+def test_trends__are_drawn_after_a_request_has_failed(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:
+    page = ada.open(f"{room.url}/?node=tank&range=all")
+    page.locator(".trend-panel .u-over").wait_for()
+    page.route("**/history?*", lambda route: route.fulfill(status=404, json={"message": "no node 'tank'"}))
+    page.get_by_role("button", name="6 h", exact=True).click()
+    page.locator(".trend-panel").get_by_text("no node 'tank'").wait_for()
+    page.unroute("**/history?*")
+    page.locator(".trend-panel .u-over").wait_for()
+
+
 def test_trends__of_a_fast_plant_are_zoomed_to_seconds_and_name_the_lines_that_are_left_out(
     ada: Visitor, room: Any, bus: zenostat.Bus, tank: NodeProgram, module_folder: Path
 ) -> None:

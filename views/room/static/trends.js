@@ -203,7 +203,7 @@ export class Trends {
     this.live.hidden = !(from && to);
     const wanted = this.hasHistory ? [range, from, to] : [];  // else what is kept is drawn
     const key = JSON.stringify([this.names(), ...wanted, view().zone, this.episode]);
-    if (key !== this.key) { this.key = key; this.data = null; this.load(); } else this.draw();
+    if (key !== this.key) { this.key = key; this.data = null; this.problem = ""; this.load(); } else this.draw();
   }
 
   update(state) {
@@ -212,6 +212,7 @@ export class Trends {
     if (state.episode !== this.episode) { this.episode = state.episode; this.onView(); return; }
     const { data } = this;
     if (!this.hasHistory) { this.follow(state); return; }
+    if (!data && this.problem) this.later();  // the node may be back
     if (!data || view().from) return;
     const newer = state.sample_step - data.last;
     if (newer <= 0) return;
@@ -245,7 +246,7 @@ export class Trends {
   /** Load again soon, but not more often than the page can draw. */
   later() {
     if (this.timer || this.loading) return;
-    this.timer = setTimeout(() => { this.timer = null; this.load(); }, this.data?.stride > 1 ? 2000 : 400);
+    this.timer = setTimeout(() => { this.timer = null; this.load(); }, this.problem || this.data?.stride > 1 ? 2000 : 400);
   }
 
   span() {
