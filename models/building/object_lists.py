@@ -15,8 +15,11 @@ from typing import Any
 from zenostat.models import energyplus, schema
 from zenostat.topics.cache import cached_bytes
 
-FORMAT = "2"
+FORMAT = "3"
 """Version of the stored file."""
+
+_OMITTED = {"ZoneHVAC:Baseboard:RadiantConvective:Steam:Design": "RadiantDesignObject"}
+"""Object lists that the schema omits for the names of a type."""
 
 
 def object_lists(kind: str) -> Mapping[str, list[str]]:
@@ -43,6 +46,8 @@ def _make(target: Path) -> None:
     lists: dict[str, dict[str, list[str]]] = {}
     references: dict[str, dict[str, list[str]]] = {}
     types: dict[str, list[str]] = {}
+    for kind, name in _OMITTED.items():
+        references[kind] = {"name": [name]}
     for kind, entry in schema.document()["properties"].items():
         (shape,) = entry["patternProperties"].values()
         for path, spec in [("name", entry.get("name", {})), *_fields(shape["properties"])]:

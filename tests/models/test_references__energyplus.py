@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from support.data_packs import sinergym
 
+from zenostat.models import schema
 from zenostat.models.building.model import for_episode, read_building
 from zenostat.models.building.object_lists import object_lists
 from zenostat.models.building.references import dangling_references
@@ -113,3 +114,9 @@ NOUNS = [
 def test_describe__names_what_is_missing_in_words(kind: str, field: str, noun: str) -> None:
     (reference,) = dangling_references({kind: {"it": {field: "none"}}})
     assert f"but the model has no {noun} of that name" in reference.describe()
+
+
+@pytest.mark.parametrize("kind", [kind for kind in schema.types() if f"{kind}:Design" in schema.types()])
+def test_dangling_references__design_objects_of_each_type_are_found(kind: str) -> None:
+    objects = {kind: {"it": {"design_object": "Sizes"}}, f"{kind}:Design": {"SIZES": {}}}
+    assert list(dangling_references(objects)) == []
