@@ -147,7 +147,8 @@ class _Reader:
             return
         self._counts[layout.kind] += 1
         own_name = rest[0].text if rest else ""
-        name = own_name if layout.named else f"{layout.kind} {self._counts[layout.kind]}"
+        is_named = layout.named and bool(own_name or not layout.numbered)
+        name = own_name if is_named else f"{layout.kind} {self._counts[layout.kind]}"
         entry = SourceObject(layout.kind, name, line)
         text, at = self._error(entry, layout, rest, is_ended=is_ended)
         self._sources[entry.kind, entry.name] = layout, rest

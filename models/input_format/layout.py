@@ -31,6 +31,7 @@ class TypeLayout:
         titles: names of the fields in the data dictionary.
         numeric: fields that hold numbers.
         named: whether objects have names.
+        numbered: whether an object without a name gets its number as one, as in `RunPeriod 1`.
         required: fields that each object has.
         minimum_fields: number of fields up to which defaults apply.
         group: heading in the data dictionary.
@@ -45,6 +46,7 @@ class TypeLayout:
     titles: Mapping[str, str] = field(default_factory=dict)
     numeric: frozenset[str] = frozenset()
     named: bool = False
+    numbered: bool = True
     required: tuple[str, ...] = ()
     minimum_fields: int = 0
     group: str = ""
@@ -112,6 +114,7 @@ def _type_layout(kind: str, entry: Mapping[str, Any]) -> TypeLayout:
         {name: str(info["field_name"]) for name, info in legacy["field_info"].items() if "field_name" in info},
         frozenset([*numerics["fields"], *numerics.get("extensions", ())]),
         "name" in entry,
+        "name" not in entry or (kind == "RunPeriod" and not entry["name"].get("is_required")),  # 9.0 and 9.1
         tuple(shape.get("required", ())),
         int(entry.get("min_fields", 0)),
         entry.get("group", ""),

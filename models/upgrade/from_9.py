@@ -85,7 +85,7 @@ STEPS = (
                 {"QuadraticLinear": "FractionChargedLMTD", "CubicLinear": "LMTDMassFlow"},
             ),
         ),
-        functions=(equipment_rules.sequential_fractions, lookup_tables),
+        functions=(equipment_rules.sequential_fractions, lookup_tables, simulation_rules.run_period_names),
     ),
     VersionStep(
         "9.2",

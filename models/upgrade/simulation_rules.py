@@ -16,6 +16,16 @@ _SOURCE_FIELDS = (
 )
 
 
+def run_period_names(model: UpgradingModel) -> None:
+    """Name a run period without a name (9.1 to 9.2; Input Changes); those of an IDF are named when it is read."""
+    kind = "RunPeriod"
+    for name, fields in model.items(kind):
+        if not name.strip():
+            own = model.find(kind) or kind
+            del model.objects[own][name]
+            model.add(own, f"{kind} 1", fields, source=(kind, name))
+
+
 def specific_heat_function(model: UpgradingModel) -> None:
     """Remove the dry bulb from the specific heat of air in EMS programs (9.2 to 9.3; Input Changes)."""
     for kind in ("EnergyManagementSystem:Program", "EnergyManagementSystem:Subroutine"):

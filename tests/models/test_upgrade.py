@@ -451,6 +451,18 @@ def test_version_step__sequential_fraction_becomes_a_schedule() -> None:
     ]
 
 
+@needs_schemas
+@pytest.mark.parametrize("version", ["9.0", "9.1"])
+def test_upgrade__run_periods_without_names_get_some(version: str) -> None:
+    """A run period needed no name before 9.2."""
+    idf = f"Version,{version};\nRunPeriod, , 1, 2, , 3, 4;\nRunPeriod, , 5, 6, , 7, 8;"
+    days = {"begin_month": 1, "begin_day_of_month": 2, "end_month": 3, "end_day_of_month": 4}
+    periods = {"RunPeriod 1": days, "RunPeriod 2": {key: value + 4 for key, value in days.items()}}
+    assert upgrade_idf(idf, name="m").objects["RunPeriod"] == periods
+    assert upgrade_epjson(model(version, RunPeriod={"": days}), name="m").objects["RunPeriod"] == {"RunPeriod 1": days}
+    assert "is in the file twice" in refused(f"Version,{version};\nRunPeriod, a, 1;\nRunPeriod, A, 2;")
+
+
 # All differences of the schemas
 
 UNCHANGED_DEFAULTS = {
