@@ -20,7 +20,7 @@ from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.transport.session import certificate_file
 from zenostat.cosim.coupled import Floats, Rows
 from zenostat.topics.errors import BusError, NodeLost, RequestRejected, ZenostatError
-from zenostat.topics.messages import CommandOp, CreateBranch, Manifest, Mode
+from zenostat.topics.messages import CommandOp, ControllerState, CreateBranch, Manifest, Mode
 
 _SET, _RELINQUISH = int(CommandOp.SET), int(CommandOp.RELINQUISH)
 _CONTROLLER = "orchestrator"
@@ -114,9 +114,12 @@ class NodePlant:
         for number in range(len(commands)):
             if number:
                 self._send(commands[number])
-            self._sample = self.link.receive()
+            self._sample = self._receive()
             samples.append(self._sample)
         return _rows(samples)
+
+    def _receive(self) -> SampleView:
+        return self.link.receive()
 
     def _send(self, row: Floats) -> None:
         values, operations = _command(row)
@@ -348,13 +351,23 @@ class FoundPlant(NodePlant):
         super().close()
         self._threads.shutdown()
 
-    def finish(self) -> Rows:
-        """Receive the sample of each timestep; `NodeLost` if somebody has ended the node's lockstep."""
-        rows = super().finish()
+    def _receive(self) -> SampleView:
+        """Receive a sample; `NodeLost` if the node does not wait for the district, or has not waited for it."""
+        sample = super()._receive()
         if (mode := self.link.mode) is not Mode.LOCKSTEP:
             by = f" by {self.link.paced_by}" if self.link.paced_by else ""
             raise NodeLost(f"node {self._node!r} was set to the mode {mode}{by}, and does not wait for the district")
-        return rows
+        if sample.fallback and not self._has_answered():
+            raise NodeLost(
+                f"node {self._node!r} simulated timestep {sample.step} without the district's command, which had not "
+                f"arrived by its deadline; its policy is {self.link.manifest.policy}"
+            )
+        return sample
+
+    def _has_answered(self) -> bool:
+        """Return whether the node had the latest command in time; else another required controller's was missing."""
+        status = self.bus.status(self._node)
+        return (self.link.name, ControllerState.CONNECTED) in [(c.controller, c.state) for c in status.controllers]
 
     def _reset(self, seed: int) -> Rows:
         if self.link.mode is not Mode.LOCKSTEP:

@@ -28,7 +28,7 @@ from zenostat.evaluation import connection_balances
 from zenostat.recording import load
 from zenostat.topics import codec
 from zenostat.topics.errors import EngineDied, InvalidConfig, InvalidRecording
-from zenostat.topics.messages import Event, EventKind, Mode, State
+from zenostat.topics.messages import Event, EventKind, Flag, Mode, State
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PLANTS = """
@@ -405,6 +405,50 @@ def test_district__plant_on_a_bus_that_somebody_paces_is_lost(scratch: Path, pac
         assert "was lost, and is back" in warning
         assert f"node 'home' was set to the mode {pace['mode']} by ada, and does not wait for the district" in warning
         assert bus.manifest("home").mode is Mode.LOCKSTEP
+
+
+def test_district__plant_on_a_bus_that_goes_on_after_its_deadline_is_lost(scratch: Path) -> None:
+    """It does not wait for the district's command, which is late then; once more from the beginning, it has all."""
+    (scratch / "plants.py").write_text(LONG)
+    settings: dict[str, Any] = {"plant": f"{scratch}/plants.py:House", "deadline_s": 0.3, "policy": "hold"}
+    with ExitStack() as stack:
+        home = stack.enter_context(NodeProgram(scratch / "home", **settings, name="home"))
+        alone = stack.enter_context(NodeProgram(scratch / "alone", plant=settings["plant"], name="alone"))
+        bus = stack.enter_context(zenostat.connect(home.endpoint, affinity="off"))
+
+        def guarded(program: NodeProgram) -> GuardedPlant:
+            plant = stack.enter_context(closing(FoundPlant(program.name, program.endpoint, None)))
+            return GuardedPlant("house", plant, OnLost.WAIT, timeout_s=60.0, stop=threading.Event())
+
+        def step(plant: GuardedPlant, outdoor: float) -> np.ndarray:
+            plant.begin(np.array([[5.0, outdoor]]))
+            return plant.finish().values[-1]
+
+        house, reference = guarded(home), guarded(alone)
+        house.reset(3), reference.reset(3)
+        until(lambda: bus.latest("home").step[0] > 2, "it goes on by itself")
+        for outdoor in (-4.0, 7.0, 1.0):
+            assert np.array_equal(step(house, outdoor), step(reference, outdoor))
+        warnings = house.drain_warnings()
+        assert warnings
+        for text in warnings:
+            assert re.search(r"without the district's command, .* by its deadline; its policy is hold$", text), text
+
+
+@pytest.mark.slow
+def test_district__plant_on_a_bus_that_misses_another_controller_is_not_lost(scratch: Path) -> None:
+    (scratch / "plants.py").write_text(LONG)
+    settings: dict[str, Any] = {"plant": f"{scratch}/plants.py:House", "deadline_s": 4.0, "policy": "hold"}
+    with (
+        NodeProgram(scratch / "home", **settings, name="home") as home,
+        closing(FoundPlant("home", home.endpoint, None)) as plant,
+        zenostat.connect(home.endpoint, affinity="off") as bus,
+    ):
+        plant.reset(3)
+        with bus.controller("home", name="silent", priority=12):
+            plant.begin(np.array([[5.0, -4.0]]))
+            plant.finish()
+        assert bus.latest("home").flags[0] & Flag.FALLBACK
 
 
 @pytest.mark.slow
