@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -64,6 +64,11 @@ class ControllerStudy(StudyConfig):
             return config
         pruner = False if self.sampler == "cma-es" else Pruner(warmup_steps=max(len(self.weathers), 1))
         return config.model_copy(update={"pruner": pruner})
+
+    def file_names(self) -> Iterable[Any]:
+        """Return what may name the files of scenario, controller, model and weather."""
+        module = self.controller.rpartition(":")[0]
+        return (self.scenario, self.controller, module, *self.weathers, *self.arguments.values())
 
     def check(self) -> None:
         """Check scenario, controller and the names of its parameters."""

@@ -18,7 +18,7 @@ from typing import Any
 
 from zenostat.bridge.runtime.processes import end_processes
 from zenostat.lab.tuning.search_space import DEFAULT, ask, decode, encode
-from zenostat.lab.tuning.study_config import StudyConfig, starting_point
+from zenostat.lab.tuning.study_config import CONTENT, StudyConfig, starting_point
 from zenostat.lab.tuning.study_storage import (
     GRACE_S,
     HEARTBEAT_S,
@@ -95,7 +95,9 @@ def open_study(config: StudyConfig) -> optuna.Study:
         except optuna.exceptions.DuplicatedStudyError:
             study = optuna.load_study(study_name=config.study, storage=storage, **arguments)
             saved = _without_nulls(_identity_of(study))
-            if differing := [name for name in identity if saved.get(name) != identity[name]]:
+            # Studies of earlier versions have no contents of files.
+            compared = [name for name in identity if name in saved or not name.startswith(CONTENT)]
+            if differing := [name for name in compared if saved.get(name) != identity[name]]:
                 raise InvalidConfig(
                     f"the study {config.study!r} exists in {without_password(config.url)} with other settings "
                     f"({', '.join(differing)}): choose another name, or restore them"

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from zenostat.bridge.recording.file import file_digest
 from zenostat.lab.config_file import FIELDS, FIELDS_OR_FALSE, ConfigPart, Count, No
 from zenostat.topics.errors import InvalidConfig
 
@@ -19,6 +21,8 @@ Sampler = Literal["tpe", "random", "grid", "cma-es"]
 Direction = Literal["maximize", "minimize"]
 MAX_POINTS = 100_000
 """Largest number of points of a grid, each of which is a trial."""
+CONTENT = "content of "
+"""Prefix of the path of a file in what must not change while a study exists."""
 _TOLERANCE = 1e-9
 """Part of a step by which a multiple of it may be off, for its rounding."""
 
@@ -190,7 +194,13 @@ class StudyConfig(ConfigPart, ABC):
     def identity(self) -> dict[str, Any]:
         """Return what must not change while a study exists."""
         plain = self.model_dump(mode="json")
-        return {name: value for name, value in plain.items() if name not in _FREE}
+        paths = sorted({name for name in self.file_names() if isinstance(name, str) and os.path.isfile(name)})
+        contents = {f"{CONTENT}{path}": file_digest(Path(path)) for path in paths}
+        return {name: value for name, value in plain.items() if name not in _FREE} | contents
+
+    def file_names(self) -> Iterable[Any]:
+        """Return the settings that may name files whose content must not change either."""
+        return ()
 
     def grid(self) -> list[dict[str, Any]]:
         """Return the points of the grid, in the order of the file."""

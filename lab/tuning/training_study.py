@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -52,6 +52,11 @@ class TrainingStudy(StudyConfig):
         if not config.training_of(config.first_values, config.folder).evaluation:
             raise InvalidConfig(f"{what}: training.evaluation: a study compares evaluations, so it cannot be false")
         return config
+
+    def file_names(self) -> Iterable[Any]:
+        """Return what may name the files of scenario, model and weather."""
+        training = self.training_of(self.first_values, self.folder)
+        return (training.scenario, *training.arguments.values())
 
     def check(self) -> None:
         """Check the parameters of the algorithm."""

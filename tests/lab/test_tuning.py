@@ -124,6 +124,25 @@ def test_tuning__study_that_exists_with_other_settings_is_one_sentence(tmp_path:
         open_study(study(tmp_path, seed=1))
 
 
+def test_tuning__study_that_exists_with_other_files_is_one_sentence(tmp_path: Path) -> None:
+    scenario, model, controller = (tmp_path / name for name in ("s.yaml", "m.idf", "own.py"))
+    for path in (scenario, model, controller):
+        path.write_text("1")
+    arguments = {"building": str(model), "steps_per_hour": 1}
+    of_controller = {"controller": f"{controller}:Own", "scenario": str(scenario), "arguments": arguments}
+    of_controller |= {"study": "c", "parameters": {"a": [1, 2]}, "trials": 3, "output": str(tmp_path)}
+    training = {**TRAINING, "scenario": str(scenario), "arguments": arguments}
+    configs = [read_tuning(of_controller), study(tmp_path, training=training)]
+    for config in configs:
+        open_study(config)
+        open_study(config)
+    for path, concerned in ((controller, configs[:1]), (model, configs), (scenario, configs)):
+        path.write_text("2")
+        for config in concerned:
+            with pytest.raises(InvalidConfig, match=f"exists .*with other settings .*content of {path}"):
+                open_study(config)
+
+
 def test_open_study__waits_for_the_machine_that_is_creating_the_study(tmp_path: Path) -> None:
     config = study(tmp_path)
     created = open_study(config)
