@@ -8,7 +8,7 @@ from pathlib import Path
 from zenostat.lab.benchmark.definition import BASELINES, Episode
 from zenostat.lab.benchmark.episodes import jobs, run_job
 from zenostat.lab.benchmark.results import Results, changed_versions, episode_of, load_results
-from zenostat.lab.benchmark.results_file import Row
+from zenostat.lab.benchmark.results_file import Row, is_rounding, is_same
 from zenostat.lab.benchmark.run import cache_folder, check_controllers, name_of, prepare_missing, stale_trainings
 from zenostat.lab.benchmark.selection import Selection
 from zenostat.lab.workers import Progress, worker_pool
@@ -63,9 +63,11 @@ def check_rows(
         for rows, failures in run_all(run_job, jobs(results.set, runnable, cache), "episodes", progress, differences):
             differences += failures
             again.update({episode_of(row): row for row in rows})
-    pairs = [(row, again.get(episode_of(row))) for row in chosen]
-    equal = Row.is_close if but_for_rounding else Row.same
-    differences += [_difference(row, new) for row, new in pairs if not equal(row, new)]
+    is_equal = is_rounding if but_for_rounding else is_same
+    for row in chosen:
+        new = again.get(episode_of(row))
+        changes = ["could not be run again"] if new is None else row.differences(new, is_equal)
+        differences += [f"{episode_of(row)}: {'; '.join(changes)}"] * bool(changes)
     versions = [f"version of {change}" for change in changed_versions(results)]
     return [*versions, *differences] if differences else []
 
@@ -82,11 +84,3 @@ def selected_rows(results: Results, selection: Selection | None, what: str) -> l
             f"with --controllers {','.join([*{row.controller: None for row in chosen}])}"
         )
     return chosen
-
-
-def _difference(row: Row, again: Row | None) -> str:
-    if again is None:
-        return f"{episode_of(row)}: could not be run again"
-    return (
-        f"{episode_of(row)}: reward {row.reward!r}, now {again.reward!r}; linear {row.linear!r}, now {again.linear!r}"
-    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -29,6 +29,11 @@ Seconds = Annotated[float, Field(ge=0.0)]
 def is_rounding(value: float, other: float) -> bool:
     """Return whether two numbers are equal but for rounding."""
     return math.isclose(value, other, rel_tol=ROUNDING, abs_tol=ROUNDING)
+
+
+def is_same(value: float, other: float) -> bool:
+    """Return whether two numbers are equal to the bit."""
+    return repr(value) == repr(other)
 
 
 @dataclass(frozen=True, config=_STRICT)
@@ -67,12 +72,18 @@ class Row:
         """Return whether another row is of the same episode and equal but for rounding, as on another processor."""
         if other is None:
             return False
+        return not self.differences(other, is_rounding)
+
+    def differences(self, other: Row, is_equal: Callable[[float, float], bool] = is_same) -> list[str]:
+        """Return which numbers of another row of the same episode are not equal: `reward -9.5, now -9.6`."""
         numbers, others = (
             {"reward": row.reward, "linear": row.linear, **row.terms, **row.metrics} for row in (self, other)
         )
-        return numbers.keys() == others.keys() and all(
-            is_rounding(value, others[name]) for name, value in numbers.items()
-        )
+        return [
+            f"{name} {numbers.get(name, 'missing')!r}, now {others.get(name, 'missing')!r}"
+            for name in numbers | others
+            if not (name in numbers and name in others and is_equal(numbers[name], others[name]))
+        ]
 
     def plain(self) -> dict[str, Any]:
         """Return the content as JSON values."""

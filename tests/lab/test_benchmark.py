@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import multiprocessing
 import threading
 from itertools import product
@@ -379,6 +380,23 @@ def test_benchmark__check_runs_the_selected_rows_and_prints_its_progress_without
     assert "episodes: 0 of 2" in done.output
     assert "episodes: 2 of 2" in done.output
     assert f"{len(expected)} rows are equal to the bit" in done.output
+
+
+def test_benchmark__check_names_the_numbers_that_differ(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def run_again(job: Job) -> tuple[list[Row], list[str]]:
+        rows = [load_results(saved).rows[one.key] for one in job.episodes]
+        other = {"metrics": {"occupied_outside_kh": 2.25}, "linear": math.nextafter(rows[0].linear, 0.0)}
+        return [dataclasses.replace(one, **other) for one in rows], []
+
+    monkeypatch.setattr(rerun, "run_job", run_again)
+    chosen = Selection(controller=["rbc"], building=[OFFICE], seed=[1])
+    (row,) = rerun.selected_rows(load_results(saved), chosen, "")
+    (before,) = row.metrics.values()
+    linear = f"linear {row.linear!r}, now {math.nextafter(row.linear, 0.0)!r}"
+    (difference,) = rerun.check(saved, chosen)
+    assert difference.endswith(f": {linear}; occupied_outside_kh {before!r}, now 2.25")
+    close = rerun.check_rows(load_results(saved), [row], cache=saved.parent, but_for_rounding=True)
+    assert [one.rpartition(": ")[2] for one in close] == [f"occupied_outside_kh {before!r}, now 2.25"]
 
 
 @pytest.mark.parametrize(
