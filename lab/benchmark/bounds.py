@@ -28,7 +28,7 @@ from zenostat.lab.benchmark.bound_search import Best, Simulated, search
 from zenostat.lab.benchmark.definition import BASELINES, SETS, TUNED, Task, is_prepared
 from zenostat.lab.benchmark.episodes import LinearReward, make_task_controller
 from zenostat.lab.benchmark.prepared import Preparation, check_published
-from zenostat.lab.benchmark.results import current_versions
+from zenostat.lab.benchmark.results import NEEDED_VERSIONS, changed_versions, current_versions
 from zenostat.lab.evaluate import run_episode
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 from zenostat.topics.file_lock import locked
@@ -40,9 +40,6 @@ CONTROLLERS = ("baseline", "fixed", "rbc", "oracle")
 """Controllers with whose sequences the search can begin."""
 
 SIMULATIONS = 1000
-
-_VERSIONS = ("zenostat", "python", "machine", "gymnasium", "numpy", "pyenergyplus-lbnl")
-"""Versions that determine the rewards of a sequence of actions."""
 
 _TIE = 1e-6
 """Relative difference below which sequences are equal but for rounding; then the first one, of offsets, is kept."""
@@ -183,18 +180,9 @@ def improve_bound(
 
 def _continued(job: BoundTask) -> Bound:
     bound = load_bound(job.path, job.set)
-    if changes := [*_changed_versions(bound), *_changed_files(bound, job.hashes)]:
+    if changes := [*changed_versions(bound.versions), *_changed_files(bound, job.hashes)]:
         raise InvalidConfig(f"{job.path} was made with something else ({'; '.join(changes)}): choose another folder")
     return bound
-
-
-def _changed_versions(bound: Bound) -> list[str]:
-    now = current_versions()
-    return [
-        f"{name} {version}, now {now.get(name, 'missing')}"
-        for name, version in bound.versions.items()
-        if version != now.get(name)
-    ]
 
 
 def _changed_files(bound: Bound, hashes: Mapping[str, str]) -> list[str]:
@@ -266,7 +254,7 @@ def _bound(job: BoundTask, relative_k: float | None, search_seed: int, actions: 
         weather=job.task.weather, seed=job.seed, relative_k=relative_k, reward=outcome.reward, terms=outcome.terms,
         linear=outcome.linear, starts={}, simulations=0, stages=0, search_seed=search_seed, curve=(),
         hashes={name: job.hashes[name] for name in names if name in job.hashes},
-        versions={name: version for name, version in current_versions().items() if name in _VERSIONS},
+        versions={name: version for name, version in current_versions().items() if name in NEEDED_VERSIONS},
         **packed(actions),
     )  # fmt: skip
 
@@ -378,5 +366,5 @@ def check_bound(bound: Bound, set_name: str, hashes: Mapping[str, str] | None = 
     for name, value in (("reward", outcome.reward), ("linear", outcome.linear), ("terms", outcome.terms)):
         if getattr(bound, name) != value:
             differences.append(f"{job}: {name} {getattr(bound, name)!r}, now {value!r}")
-    versions = [f"{job}: version of {change}" for change in _changed_versions(bound)]
+    versions = [f"{job}: version of {change}" for change in changed_versions(bound.versions)]
     return [*versions, *differences] if differences else []

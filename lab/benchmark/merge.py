@@ -24,7 +24,7 @@ def merge_results(paths: Sequence[Path]) -> Results:
         what = f"{path} and {first[0]}"
         if results.set != merged.set:
             raise InvalidConfig(f"{what} have results of the sets {results.set!r} and {merged.set!r}")
-        if changes := changed_versions(results, merged.versions):
+        if changes := changed_versions(results.versions, merged.versions):
             raise InvalidConfig(f"{what} have rows of different versions: {'; '.join(changes)}")
         _check_equal(merged.hashes, results.hashes, f"{what} have rows of different files")
         _check_equal(merged.controllers, results.controllers, f"{what} have rows of different versions of")

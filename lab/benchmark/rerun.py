@@ -68,7 +68,7 @@ def check_rows(
         new = again.get(episode_of(row))
         changes = ["could not be run again"] if new is None else row.differences(new, is_equal)
         differences += [f"{episode_of(row)}: {'; '.join(changes)}"] * bool(changes)
-    versions = [f"version of {change}" for change in changed_versions(results)]
+    versions = [f"version of {change}" for change in changed_versions(results.versions)]
     return [*versions, *differences] if differences else []
 
 

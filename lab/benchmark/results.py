@@ -22,6 +22,17 @@ from zenostat.topics.errors import InvalidConfig, UnknownName
 from zenostat.topics.user_file import user_file
 
 _LIBRARIES = ("gymnasium", "numpy", "optuna", "pyenergyplus-lbnl", "scipy", "stable-baselines3", "torch")
+NEEDED_VERSIONS = ("zenostat", "python", "machine", "gymnasium", "numpy", "pyenergyplus-lbnl")
+"""Versions that determine the rewards of a sequence of actions."""
+
+
+def current_versions() -> dict[str, str]:
+    """Return the versions of what determines the rows."""
+    versions = {"zenostat": PRODUCT_VERSION, "python": platform.python_version(), "machine": platform.machine()}
+    for library in _LIBRARIES:
+        with suppress(importlib.metadata.PackageNotFoundError):
+            versions[library] = importlib.metadata.version(library)
+    return versions
 
 
 @dataclass
@@ -42,10 +53,7 @@ class Results:
     hashes: dict[str, str] = field(default_factory=dict)
     trainings: dict[str, dict[str, Any]] = field(default_factory=dict)
     controllers: dict[str, str] = field(default_factory=dict)
-    versions: dict[str, str] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        self.versions = self.versions or current_versions()
+    versions: dict[str, str] = field(default_factory=current_versions)
 
     def add(self, rows: Iterable[Row]) -> None:
         """Add rows; rows of the same key are replaced."""
@@ -101,8 +109,8 @@ def load_results(path: str | Path) -> Results:
 
     Raises:
         UnknownName: there is no such file, or it cannot be read.
-        InvalidConfig: it has no results, those of another version of the benchmark, edited or incomplete rows, or
-            trainings that the set does not have.
+        InvalidConfig: it has no results, those of another version of the benchmark, edited or incomplete rows, no
+            versions, or trainings that the set does not have.
     """
     path = Path(path)
     with user_file(path, UnknownName):
@@ -135,6 +143,8 @@ def load_results(path: str | Path) -> Results:
 
 
 def _check_content(results: Results, path: Path) -> None:
+    if absent := [name for name in NEEDED_VERSIONS if name not in results.versions]:
+        raise InvalidConfig(f"{path}: versions: {', '.join(absent)} missing: nothing says what its rows were made with")
     for name in results.trainings:
         try:
             training_key(name, results.set)
@@ -156,31 +166,22 @@ def _check_version(content: Mapping[str, Any], path: Path) -> None:
     )
 
 
-def current_versions() -> dict[str, str]:
-    """Return the versions of what determines the rows."""
-    versions = {"zenostat": PRODUCT_VERSION, "python": platform.python_version(), "machine": platform.machine()}
-    for library in _LIBRARIES:
-        with suppress(importlib.metadata.PackageNotFoundError):
-            versions[library] = importlib.metadata.version(library)
-    return versions
-
-
 def _release(version: str) -> str:
     """Return a version without its local part, which names a build: `2.13.0` of `2.13.0+cpu`."""
     return version.partition("+")[0]
 
 
-def changed_versions(results: Results, now: Mapping[str, str] | None = None) -> list[str]:
-    """Return what has another version than in the results: `numpy 2.3.0, now 2.4.0`.
+def changed_versions(saved: Mapping[str, str], now: Mapping[str, str] | None = None) -> list[str]:
+    """Return what had another version before: `numpy 2.3.0, now 2.4.0`.
 
     Args:
-        results: the results.
-        now: the versions of other results, which are compared as far as both have them; None: the current ones.
+        saved: the versions of results or of a bound.
+        now: those of other results, which are compared as far as both have them; None: the current ones.
     """
     known = current_versions() if now is None else now
     compared = known.keys() | (_LIBRARIES if now is None else ())
     return [
         f"{name} {version}, now {known.get(name, 'missing')}"
-        for name, version in results.versions.items()
+        for name, version in saved.items()
         if name in compared and _release(version) != _release(known.get(name, ""))
     ]

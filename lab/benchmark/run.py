@@ -180,7 +180,7 @@ def _open(path: Path, set_name: str, hashes: dict[str, str], files: dict[str, st
     results = load_results(path)
     if results.set != set_name:
         raise InvalidConfig(f"{path} has results of the set {results.set!r}: choose another --out for {set_name!r}")
-    if changes := changed_versions(results):
+    if changes := changed_versions(results.versions):
         raise InvalidConfig(f"{path} has rows of other versions ({'; '.join(changes)}): choose another --out")
     for known, now, what in (
         (results.hashes, hashes, "another file"), (results.controllers, files, "another version of the controller"),

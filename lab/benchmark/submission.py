@@ -94,7 +94,7 @@ def _compare_baseline(results: Results, path: Path, reference: Path | None) -> t
     published = load_results(published_path)
     if published.set != results.set:
         raise InvalidConfig(f"{path} has results of the set {results.set!r}, the reference those of {published.set!r}")
-    if changes := changed_versions(results, published.versions):
+    if changes := changed_versions(results.versions, published.versions):
         notes = [f"version of {change}" for change in changes]
         return [], [*notes, f"{not_compared}: they were made with other versions"]
     return _other_baseline(results, published)

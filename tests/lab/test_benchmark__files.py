@@ -26,7 +26,7 @@ from zenostat.lab.benchmark.figures import curve_of, write_curves
 from zenostat.lab.benchmark.merge import merge_results
 from zenostat.lab.benchmark.prepared import Preparation, ensure_prepared
 from zenostat.lab.benchmark.recipes import is_residual
-from zenostat.lab.benchmark.results import changed_versions
+from zenostat.lab.benchmark.results import NEEDED_VERSIONS, changed_versions
 from zenostat.lab.benchmark.results_file import rows_digest, schema
 from zenostat.lab.benchmark.run import stale_trainings
 from zenostat.lab.benchmark.submission import check_submission
@@ -56,6 +56,8 @@ def record(controller: str, building: str, number: int | None = 0) -> dict[str, 
 
 def written(path: Path, rows: Iterable[Row], **changes: Any) -> Path:
     results = Results("smoke", hashes={OFFICE: "ab"}, controllers={"baseline": "00", "rbc": "01"})
+    if "versions" in changes:
+        changes["versions"] = {**dict.fromkeys(NEEDED_VERSIONS, "1.0"), **changes["versions"]}
     for name, value in changes.items():
         setattr(results, name, value)
     results.add(rows)
@@ -140,7 +142,7 @@ def test_benchmark_files__parts_of_machines_with_other_libraries_are_merged_in_a
     rules = written(tmp_path / "rules.json", rows[:2], versions={"numpy": "2.4.0"})
     trained = written(tmp_path / "trained.json", learned, versions=versions, trainings=TRAININGS)
     for parts in ([rules, trained], [trained, rules]):
-        assert merge_results(parts).versions == versions
+        assert merge_results(parts).versions == dict.fromkeys(NEEDED_VERSIONS, "1.0") | versions
 
 
 def test_benchmark_files__contradicting_parts_are_refused(rows: list[Row], complete: Path, tmp_path: Path) -> None:
@@ -439,9 +441,18 @@ def test_benchmark_files__episode_that_is_there_twice_is_refused(complete: Path)
         load_results(complete)
 
 
-def test_benchmark_files__local_part_of_a_version_does_not_count(rows: list[Row], tmp_path: Path) -> None:
-    results = load_results(written(tmp_path / "r.json", rows, versions={"torch": "2.13.0+cpu", "numpy": "2.4.0"}))
-    assert changed_versions(results, {"torch": "2.13.0", "numpy": "2.4.1"}) == ["numpy 2.4.0, now 2.4.1"]
+def test_benchmark_files__local_part_of_a_version_does_not_count() -> None:
+    saved = {"torch": "2.13.0+cpu", "numpy": "2.4.0"}
+    assert changed_versions(saved, {"torch": "2.13.0", "numpy": "2.4.1"}) == ["numpy 2.4.0, now 2.4.1"]
+
+
+@pytest.mark.parametrize("absent", [NEEDED_VERSIONS, ("numpy",)])
+def test_benchmark_files__rows_without_versions_are_refused(complete: Path, absent: tuple[str, ...]) -> None:
+    content = json.loads(complete.read_text(encoding="utf-8"))
+    content["versions"] = {name: of for name, of in content["versions"].items() if name not in absent}
+    complete.write_text(json.dumps(content))
+    with pytest.raises(InvalidConfig, match=f"versions: {', '.join(absent)} missing"):
+        load_results(complete)
 
 
 def test_benchmark_files__all_errors_of_a_submission_are_listed(
