@@ -39,6 +39,10 @@ def cosim(
     once: Annotated[
         bool, typer.Option("--once", help="Simulate one episode without a controller, print its balances, and end.")
     ] = False,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, metavar="N", help="Seed of the first episode. Default: with --once 0, else a random one."),
+    ] = None,
     name: Annotated[str | None, typer.Option(help="Name of the node. Default: that of the file.")] = None,
     mode: options.Mode = Mode.LOCKSTEP,
     speed: options.Speed = None,
@@ -85,6 +89,7 @@ def cosim(
         raise InvalidConfig(f"--once simulates at full speed; leave out --mode {mode}")
     settings = {
         "district": str(file),
+        "seed": 0 if once and seed is None else seed,
         "name": name,
         "mode": Mode.FREE if once else mode,
         "speed": speed,

@@ -20,7 +20,7 @@ from zenostat.cosim.launch import PlantSet, input_files
 from zenostat.cosim.plant import DistrictPlant, describe
 from zenostat.topics.codec import validated
 from zenostat.topics.errors import InvalidConfig, did_you_mean
-from zenostat.topics.messages import Manifest
+from zenostat.topics.messages import Manifest, Seed
 from zenostat.topics.yaml12 import read_text
 
 CheckReward = Callable[[Manifest], None]
@@ -35,9 +35,11 @@ class DistrictSettings(NodeSettings):
     Attributes:
         name: by default that of the file.
         district: the file.
+        seed: of the first episode; None draws it.
     """
 
     district: Path
+    seed: Seed | None = None
     name: str = ""
     affinity: Affinity = Affinity.OFF
 
@@ -103,7 +105,8 @@ class DistrictNode(Node):
             point_alarms(read_rules(settings.alarms), description)
 
         def create(_: PlantContext) -> DistrictPlant:
-            return DistrictPlant(binding, description, self._plants.guarded(), file.spec.solver, self._plants.stop)
+            plants = self._plants.guarded()
+            return DistrictPlant(binding, description, plants, file.spec.solver, self._plants.stop, settings.seed)
 
         return create
 

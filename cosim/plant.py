@@ -166,6 +166,7 @@ class DistrictPlant:
         plants: its plants by name; it closes them.
         solver: limits of the solver.
         stop: that the plants have; set when the district is to end.
+        seed: of the first episode; None draws it.
 
     Attributes:
         lost_steps: of a verification: number of steps in which a plant was lost, by the recording.
@@ -180,13 +181,14 @@ class DistrictPlant:
         plants: Mapping[str, GuardedPlant],
         solver: SolverSpec,
         stop: threading.Event,
+        seed: int | None = None,
     ) -> None:
         self.description = description
         self._binding, self._plants, self._solver, self._stop = binding, plants, solver, stop
         self.run = DistrictRun(binding, plants, solver)
         self.lost_steps: dict[str, int] = {}
         self._random = np.random.default_rng()
-        self._seed = self._draw(None)
+        self._seed = self._draw(seed)
         self._broken = ""
 
     # Episodes

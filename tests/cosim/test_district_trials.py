@@ -48,8 +48,10 @@ def mixed(state: list[float], row: list[float]) -> tuple[list[float], list[float
     return [value], [value]
 
 
-def district(folder: Path, text: str, on_lost: OnLost = OnLost.STOP, log: list[str] | None = None) -> Any:
-    """A district at sample 0 whose plant b has half the timestep, and its plants."""
+def district(
+    folder: Path, text: str, on_lost: OnLost = OnLost.STOP, log: list[str] | None = None, seed: int | None = None
+) -> Any:
+    """A district at sample 0 whose plant b has half the timestep, and its plants; `seed` of the first episode."""
     file = district_file(folder, text)
     actuators: Any = {"u": ("W", None, None), "v": ("W", -9.0, 9.0)}
     plants: dict[str, Any] = {
@@ -64,11 +66,23 @@ def district(folder: Path, text: str, on_lost: OnLost = OnLost.STOP, log: list[s
         plants = {"market": MarketPlant(manifest, market.market), **plants}
     _, binding, guarded = orchestrated(file, plants, on_lost)
     plant = DistrictPlant(
-        binding, describe(binding, "quarter", "", Provenance()), guarded, file.spec.solver, threading.Event()
+        binding, describe(binding, "quarter", "", Provenance()), guarded, file.spec.solver, threading.Event(), seed
     )
-    plant.next_episode([0], [5], [1], [False])
+    if seed is None:
+        plant.next_episode([0], [5], [1], [False])
     plant.start([0])
     return plant, plants
+
+
+def test_district_plant__seed_of_the_first_episode_is_that_of_a_reset(tmp_path: Path) -> None:
+    """Both give the plants the same seeds, in this episode and in the next one without a seed."""
+    (first, own), (reset, others) = district(tmp_path, ACYCLIC, seed=5), district(tmp_path, ACYCLIC)
+    for plant in (first, reset):
+        plant.next_episode([0], [None], [2], [False])
+        plant.start([0])
+    seeds = [own[name].seeds[-2:] for name in "abc"]
+    assert seeds == [others[name].seeds[-2:] for name in "abc"]
+    assert len({seed for of_plant in seeds for seed in of_plant}) == 6
 
 
 def taken(plant: Any, commands: Any) -> tuple[bytes, bytes]:
