@@ -76,6 +76,7 @@ class DistrictNode(Node):
     """
 
     plant: DistrictPlant
+    settings: DistrictSettings
 
     def __init__(
         self,
