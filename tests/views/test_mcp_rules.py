@@ -33,6 +33,7 @@ from zenostat.topics.messages import Event, EventKind
 from zenostat.views.mcp.call_log import CallLog
 from zenostat.views.mcp.content import CLOSE, MAX_TEXT, NOTICE, OPEN, read_data, render
 from zenostat.views.mcp.event_log import EventLog
+from zenostat.views.mcp.futures import WhatIf
 from zenostat.views.mcp.tools import TOOLS, call
 from zenostat.views.mcp.writer import WriteLimits, Writer, WriteRule
 
@@ -346,6 +347,11 @@ def test_call__invalid_arguments_are_named_before_anything_is_asked(
     content, is_error = call(SimpleNamespace(), tool, arguments)  # type: ignore[arg-type]
     assert is_error
     assert text in content.data["message"]
+
+
+def test_what_if__all_setpoints_of_a_large_building_can_be_tried() -> None:
+    values = {f"room_{number}_cooling_setpoint": 27.0 for number in range(5000)}
+    assert WhatIf(node="office", values=values).values == values
 
 
 @pytest.mark.parametrize(("others", "not_listed"), [(1, 0), (120, 22)])

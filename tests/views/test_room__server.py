@@ -286,6 +286,12 @@ def test_room__what_if_controller_that_fails_is_one_error(
         ("write", {"point": "pmp", "value": 1}, 400, "pump"),
         ("write", {"point": "pump", "value": 101}, 409, "0 to 100 W"),
         ("what_if", {"values": {"pump": 101}}, 400, "pump = 101; its bounds are 0 to 100 W"),
+        (
+            "what_if",
+            {"values": {str(n): 1 for n in range(500)}},
+            400,
+            "at most 1 value expected, one for each actuator",
+        ),
         ("what_if", {"values": {"pmp": 1}}, 400, "no actuator 'pmp'; did you mean 'pump'"),
         ("what_if", {"controller": {"name": "pid"}}, 400, "controller pid: setpoint: it is missing"),
         ("what_if", {"values": {}}, 400, "values"),

@@ -27,11 +27,13 @@ from zenostat.topics.messages.geometry import ZoneGeometry
 from zenostat.views.room.description import describe
 from zenostat.views.room.numbers import number, numbers, to_json
 from zenostat.views.room.operations import read_operation
+from zenostat.views.room.requests import read_body
 from zenostat.views.room.schematic import type_words
 from zenostat.views.room.series import band_content, band_points, band_zones, simulated_time
 from zenostat.views.room.state import zone_states
 from zenostat.views.room.storeys import storeys
 from zenostat.views.room.updates import Updates
+from zenostat.views.room.what_if import WhatIf
 
 
 def floors(outlines: dict[str, list[tuple[float, float]]], *, unconditioned: tuple[str, ...] = ()) -> Geometry:
@@ -220,6 +222,11 @@ def test_to_json__text_cannot_end_a_line_of_a_stream(text: str) -> None:
     assert json.loads(encoded) == {"text": text}
     assert encoded.isascii()
     assert not set(encoded) & set(b"\r\n")
+
+
+def test_what_if__all_setpoints_of_a_large_building_can_be_tried() -> None:
+    values = {f"room_{number}_cooling_setpoint": 27.0 for number in range(5000)}
+    assert read_body(WhatIf, json.dumps({"values": values}).encode()).values == values
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 from zenostat.topics.errors import RequestRejected
 from zenostat.topics.keys import safe_name
 from zenostat.topics.messages import Sample
-from zenostat.topics.points import actuator_index, value_index
+from zenostat.topics.points import value_index
 from zenostat.views.mcp.content import Content
 from zenostat.views.mcp.desk import Desk
 from zenostat.views.mcp.reading import require_points
@@ -57,7 +57,7 @@ class WhatIf(Tool):
     node: Node
     values: Annotated[
         dict[Point, float | None],
-        Field(max_length=200, description="Values by actuator, in its unit; null relinquishes it at the priority."),
+        Field(description="Values by actuator, in its unit; null relinquishes it at the priority."),
     ] = Field(default_factory=dict)
     hours: FutureHours = None
     priority: Priority = 8
@@ -66,7 +66,6 @@ class WhatIf(Tool):
     @override
     def run(self, desk: Desk) -> Content:
         description = desk.description(self.node)
-        actuator_index(description.manifest.actuators).require(self.values)
         futures = {"as_is": Future()}
         if self.values:
             futures["changed"] = Future(self.values, self.priority)

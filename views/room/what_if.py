@@ -27,6 +27,7 @@ from zenostat.bridge.client.sample import SampleView
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import BadMessage, InvalidAction, InvalidConfig, RequestRejected, ZenostatError
 from zenostat.topics.messages import Ack, CommandOp, CreateBranch, Manifest, Sample, SimulatePlan, Write
+from zenostat.topics.plurals import counted
 from zenostat.topics.points import actuator_index, contains, describe_violation
 from zenostat.views.room.description import MAX_FUTURE_STEPS, NodeDescription, longest_future_h
 from zenostat.views.room.numbers import number, numbers
@@ -48,7 +49,7 @@ class WhatIf(RoomRequest):
     The value None relinquishes an actuator there. By default it is a day, or the longest that can be simulated.
     """
 
-    values: Annotated[dict[str, float | None], Field(max_length=200)] = Field(default_factory=dict)
+    values: dict[str, float | None] = Field(default_factory=dict)
     controller: TrialController | None = None
     priority: Annotated[int, Field(ge=1, le=16)] = 8
     hours: Annotated[float | None, Field(gt=0, le=7 * 24)] = None
@@ -137,7 +138,7 @@ def simulate_futures(
         on_branch: called with the name of each branch that is created.
 
     Raises:
-        InvalidConfig: the hours are shorter than a timestep, or too many.
+        InvalidConfig: the hours are shorter than a timestep, or too many; more values than the node has actuators.
         UnknownName, InvalidAction: a value of an actuator that does not exist, or beyond its bounds.
         RequestRejected: the node cannot branch now.
         ForkFailed: the system cannot fork the simulation.
@@ -186,6 +187,9 @@ def simulate_futures(
 def _check_values(manifest: Manifest, values: Mapping[str, float | None]) -> None:
     """Raise the error of an unknown actuator, or of a value beyond the bounds, before anything is simulated."""
     index = actuator_index(manifest.actuators)
+    if len(values) > len(index):
+        limit = counted(len(index), "value")
+        raise InvalidConfig(f"values: at most {limit} expected, one for each actuator of the node, not {len(values)}")
     index.require(values)
     for name, value in values.items():
         actuator = manifest.actuators[index[name]]

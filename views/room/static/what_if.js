@@ -1,6 +1,6 @@
 // The question "what if": set-points or another controller on a copy of the building, beside the building as it is.
 
-import { copyText, get, nodePath, operate, post, toast } from "./api.js";
+import { copyText, get, nodePath, post, toast } from "./api.js";
 import { fill, h, setAttribute, setText } from "./dom.js";
 import { counted, num, seconds, shown, words } from "./format.js";
 import { priorityName } from "./point.js";
@@ -101,7 +101,7 @@ export class WhatIfPanel {
     });
     const drawn = h("datalist", { id: "what-if-drawn" }, points.slice(0, 2000).map((point) => h("option", { value: point.id }, point.label)));
     fill(this.result, h("h3", {}, `Next ${num(answer.as_is.totals.hours)} h`), this.totals(answer, name),
-      h("div", { class: "row wrap drawn" }, choice, other, drawn, legend, h("span", { class: "grow" }), asked.values && h("button", { class: "primary", onclick: () => this.apply(asked) }, `Apply for ${asked.hours} h`)), canvas,
+      h("div", { class: "row wrap drawn" }, choice, other, drawn, legend, h("span", { class: "grow" }), asked.values && h("button", { class: "primary", onclick: (event) => this.apply(asked, event.target) }, `Apply for ${asked.hours} h`)), canvas,
       asked.controller && this.start(answer.command, asked));
     draw();
     this.result.scrollIntoView({ block: "nearest" });
@@ -145,13 +145,20 @@ export class WhatIfPanel {
     return [...new Set([...most(zones.map((zone) => zone.temperature)), facility?.point, hvac?.point, ...commanded, ...rest].filter((place) => place !== undefined && place !== null))].slice(0, 60);
   }
 
-  async apply({ values, priority, hours }) {
+  async apply({ values, priority, hours }, button) {
+    const writes = Object.entries(values), { textContent: text } = button;
     let count = 0;
-    for (const [point, value] of Object.entries(values)) {
-      if (!(await operate(this.node, "write", { point, value, priority, duration_s: hours * 3600 }))) break;
-      count += 1;
-    }
-    toast(`${count} of ${counted(Object.keys(values).length, "value")} applied for ${hours} h`);
+    button.disabled = true;
+    try {
+      for (const [point, value] of writes) {
+        setText(button, `Applying ${count + 1} of ${writes.length} …`);
+        await post(nodePath(this.node, "write"), { point, value, priority, duration_s: hours * 3600 });
+        count += 1;
+      }
+    } catch (error) { toast(error.message, true); }
+    setText(button, text);
+    button.disabled = false;
+    toast(`${count} of ${counted(writes.length, "value")} applied for ${hours} h`);
   }
 
   /** How to apply a controller: by a command, since the control room runs none. */
