@@ -351,6 +351,30 @@ def test_point__forms_begin_with_the_whole_value(ada: Visitor, room: Any, bus: z
     bus.write("tank", "valve", None, source="bob")
 
 
+def test_keys__held_space_resumes_once_and_scrolls_a_focused_list(ada: Visitor, room: Any) -> None:
+    page, changes = ada.open(f"{room.url}/?node=tank"), []
+    page.get_by_role("button", name="Resume").wait_for()
+
+    def accept(route: Any) -> None:
+        changes.append(route.request.url.rpartition("/")[2])
+        route.fulfill(json={"text": "accepted"})
+
+    page.route("**/tank/resume", accept)
+    for _ in range(5):
+        page.keyboard.down(" ")  # but for the first, they repeat it
+    page.keyboard.up(" ")
+    page.keyboard.press("Shift+ ")
+    page.get_by_role("tab", name="All points").focus()
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.matches('.scroll')")
+    page.keyboard.press(" ")
+    page.locator("main").focus()
+    with page.expect_response("**/resume"):
+        page.keyboard.press(" ")
+    assert changes == ["resume"] * 2
+    page.unroute("**/tank/resume")
+
+
 def test_events__page_has_those_that_the_stream_leaves_out(ada: Visitor, room: Any) -> None:
     page = ada.open(f"{room.url}/?node=tank&tab=events")
     watch = room.room.watch.find("tank")

@@ -49,8 +49,9 @@ export class NodePage {
   onKey(event) {
     if (!mayChange()) return;
     if (event.target.closest("button, a, summary, [role=button]") && (event.key === " " || event.key === "Enter")) return;
-    if (event.key === " ") { event.preventDefault(); this.togglePause(); }
-    if (event.key === "." && this.state?.paused) operate(this.node, "step", { steps: 1 });
+    const scrolls = event.shiftKey || event.target.matches(".scroll:focus-visible");  // the browser, by a space
+    if (event.key === " " && !scrolls) { event.preventDefault(); if (!event.repeat) this.togglePause(); }
+    if (event.key === "." && !event.repeat && this.state?.paused) operate(this.node, "step", { steps: 1 });
   }
 
   async describe(instance) {
