@@ -19,7 +19,7 @@ from zenostat.bridge.client.trials import PendingTrial, trial_message
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.transport.session import certificate_file
 from zenostat.cosim.coupled import Floats, Rows
-from zenostat.topics.errors import BusError, NodeLost, RequestRejected, ZenostatError
+from zenostat.topics.errors import BusError, EpisodeChanged, NodeLost, RequestRejected, ZenostatError
 from zenostat.topics.messages import CommandOp, ControllerState, CreateBranch, Manifest, Mode
 
 _SET, _RELINQUISH = int(CommandOp.SET), int(CommandOp.RELINQUISH)
@@ -89,8 +89,8 @@ class NodePlant:
         """Begin an episode; see `CoupledPlant.reset`."""
         try:
             return self._reset(seed)
-        except BusError:
-            self.recover()  # the node, or the connection to it, was lost: once more, with new ones
+        except (BusError, EpisodeChanged):
+            self.recover()  # the node, or the connection to it, was lost or closed: once more, with new ones
             return self._reset(seed)
 
     def recover(self) -> None:

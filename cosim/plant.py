@@ -26,7 +26,7 @@ from zenostat.cosim.run import DistrictRun, RunState, free_actuators, tried_plan
 from zenostat.cosim.trials import PlantTrials, is_short
 from zenostat.topics import VERSION
 from zenostat.topics.connection_balance import ConnectionBalance
-from zenostat.topics.errors import EngineDied, ForkFailed, InvalidRecording, ZenostatError
+from zenostat.topics.errors import EngineDied, ForkFailed, InvalidRecording, SimulatorError, ZenostatError
 from zenostat.topics.messages import (
     Action,
     Aggregation,
@@ -189,7 +189,7 @@ class DistrictPlant:
         self.lost_steps: dict[str, int] = {}
         self._random = np.random.default_rng()
         self._seed = self._draw(seed)
-        self._broken = ""
+        self._broken = self._abandoned = ""
 
     # Episodes
 
@@ -214,7 +214,7 @@ class DistrictPlant:
         """Begin an episode of all plants; see `Plant.start`."""
         self._stop.clear()
         self.run.start(self._seeds())
-        self._broken = ""
+        self._broken = self._abandoned = ""
 
     def _seeds(self) -> dict[str, int]:
         """Return a seed for each plant, which depends on that of the episode and the order of the plants."""
@@ -251,7 +251,12 @@ class DistrictPlant:
         """Simulate a step of all plants; see `RunningPlant.step`."""
         if self._broken:
             raise EngineDied(self._broken)
-        return [self.run.step(commands)]
+        try:
+            return [self.run.step(commands)]
+        except SimulatorError:
+            if self._abandoned:
+                raise EngineDied(self._abandoned) from None
+            raise
 
     def values(self) -> bytes:
         """Return the values of all plants, and of the orchestration; see `RunningPlant.values`."""
@@ -343,7 +348,7 @@ class DistrictPlant:
             self._broken = f"the district cannot return to its snapshot, and must be reset: {error}"
             raise EngineDied(self._broken) from None
         self.run.adopt(saved.states[0])
-        self._broken = ""
+        self._broken = self._abandoned = ""
         return [EpisodeStart(engine_start=EngineStart.SNAPSHOT, weather="")]
 
     # Processes
@@ -367,6 +372,11 @@ class DistrictPlant:
         self._stop.set()
         for plant in self._plants.values():
             plant.plant.interrupt()
+
+    def abandon(self, reason: str, *, is_starting: bool) -> None:  # noqa: ARG002
+        """End or leave the plants' nodes, which are started or joined again; see `AbandonablePlant`."""
+        self._abandoned = reason
+        self.interrupt()
 
     def end(self, *, failed: bool = False) -> None:
         """Do nothing: the nodes wait for the next episode."""

@@ -28,7 +28,7 @@ from zenostat.evaluation import connection_balances
 from zenostat.recording import load
 from zenostat.topics import codec
 from zenostat.topics.errors import EngineDied, InvalidConfig, InvalidRecording
-from zenostat.topics.messages import Event, EventKind, Flag, Mode, State
+from zenostat.topics.messages import Event, EventKind, Flag, Mode, Reset, State
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PLANTS = """
@@ -449,6 +449,31 @@ def test_district__plant_on_a_bus_that_misses_another_controller_is_not_lost(scr
             plant.begin(np.array([[5.0, -4.0]]))
             plant.finish()
         assert bus.latest("home").flags[0] & Flag.FALLBACK
+
+
+@pytest.mark.slow
+def test_district__reset_of_one_that_waits_for_a_paused_plant_begins_an_episode(scratch: Path) -> None:
+    """A plant that is paused on its own bus holds the district; the reset gives up the step and resets the plant."""
+    text = PAIR.replace('{plant: "plants.py:House"}', f"{{node: home, connect: unixsock-stream/{scratch}/home/bus}}")
+    file = district(scratch, text)
+    with (
+        NodeProgram(scratch / "home", plant=f"{scratch}/plants.py:House", name="home") as home,
+        zenostat.connect(home.endpoint, affinity="off") as home_bus,
+        running(scratch, file) as (_, bus, name),
+        bus.controller(name) as link,
+    ):
+        expected = episode(link)
+        sample = link.reset(seed=3)
+        home_bus.pause("home", source="ada")
+        sample.send({"house.outdoor": -4.0})
+        until(lambda: bus.status(name).state is State.RUNNING, "the district waits for the plant")
+        bus.reset(name, Reset(controller="ada", seed=3))
+        with pytest.raises(EngineDied, match=r"^a reset had waited for 10 s for the end of its timestep$"):
+            link.receive()
+        until(lambda: bus.status(name).state is State.WAITING, "the new episode has begun")
+        assert home_bus.latest("home").step == [0]
+        home_bus.resume("home")
+        assert episode(link) == expected
 
 
 @pytest.mark.slow
