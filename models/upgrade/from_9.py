@@ -63,7 +63,7 @@ STEPS = (
         "Input Changes 9.1.0 to 9.2.0, transition rules V9_2_0, schemas 9.1 and 9.2",
         fields={
             "CoolingTower:SingleSpeed": (
-                (r"free_convection_(air_flow_rate|u_factor)(.*)", r"free_convection_regime_\1\2"),
+                (r"free_convection_(air_flow_rate.*|u_factor_times_area_value)", r"free_convection_regime_\1"),
             ),
             "InternalMass": _ZONE_OR_LIST,
             "ThermalStorage:Ice:Detailed": (
