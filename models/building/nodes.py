@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from zenostat.models.building.findings import FieldFinding, RuleFinding, finding
+from zenostat.models.building.object_lists import object_lists
 from zenostat.models.input_format.source_model import ModelObjects
 from zenostat.topics.errors import did_you_mean
 
@@ -53,13 +54,19 @@ class UnconnectedNode(NamedTuple):
 
 
 def unconnected_nodes(objects: ModelObjects) -> Iterator[UnconnectedNode]:
-    """Yield the nodes that only one field names, except for those that may be the end of an air stream."""
+    """Yield the nodes that only one field names, except for those that may be the end of an air stream.
+
+    Fields that the schema has as references to objects, such as `AirflowNetwork:MultiZone:ExternalNode`, are left to
+    `dangling_references`.
+    """
     uses: dict[str, list[tuple[str, str, str, str]]] = defaultdict(list)
     for kind, items in objects.items():
         if not kind.startswith(_IGNORED):
+            references = {path.rpartition(".")[2] for path in object_lists(kind)}
             for name, fields in items.items():
                 for field, member, node in _node_fields(fields):
-                    uses[node.casefold()].append((kind, name, field, node if not _MAY_BE_ALONE.search(member) else ""))
+                    may_be_alone = member in references or _MAY_BE_ALONE.search(member)
+                    uses[node.casefold()].append((kind, name, field, "" if may_be_alone else node))
     named = {name.casefold() for kind in ("NodeList", "OutdoorAir:Node") for name in objects.get(kind, {})}
     known = tuple(dict.fromkeys(use[3] for each in uses.values() if len(each) > 1 for use in each if use[3]))
     for node, users in uses.items():

@@ -331,6 +331,24 @@ def test_unconnected_nodes__all_fields_that_name_a_node_count(kind: str, fields:
     assert not list(unconnected_nodes({kind: {"it": fields}} | mixer))
 
 
+OBJECTS_OF_FIELDS = [
+    ("AirflowNetwork:MultiZone:Surface", "external_node_name", "AirflowNetwork:MultiZone:ExternalNode"),
+    ("AirflowNetwork:IntraZone:Linkage", "node_1_name", "AirflowNetwork:IntraZone:Node"),
+    ("ElectricEquipment:ITE:AirCooled", "air_inlet_room_air_model_node_name", "RoomAir:Node"),
+    (
+        "ZoneHVAC:EquipmentConnections",
+        "zone_return_air_node_1_flow_rate_fraction_schedule_name",
+        "Schedule:Constant",
+    ),
+]
+"""Fields with names like those of nodes that name an object, and its type."""
+
+
+@pytest.mark.parametrize(("kind", "field", "named"), OBJECTS_OF_FIELDS)
+def test_unconnected_nodes__name_of_an_object_is_none(kind: str, field: str, named: str) -> None:
+    assert list(unconnected_nodes({kind: {"it": {field: "A"}}, named: {"A": {}}})) == []
+
+
 def test_diagnose__loop_that_is_sized_without_an_object_for_it_is_a_warning() -> None:
     loop = {
         "AirLoopHVAC": {"A": {"design_supply_air_flow_rate": "Autosize"}, "B": {"design_supply_air_flow_rate": 1.0}}
