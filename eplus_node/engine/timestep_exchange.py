@@ -179,11 +179,12 @@ class Engine:
         self.sensors = [exchange.get_variable_handle(state, v, k) for v, k, *_ in spec["sensors"]]
         self.feedback = [exchange.get_variable_handle(state, v, k) for v, k in spec["feedback"]]
         self.actuators = [exchange.get_actuator_handle(state, *names) for names in spec["actuators"]]
-        # EnergyPlus 25.2 returns -1 for the first meter in its list, although reading index 0 works
-        # (getMeterHandle treats 0 as "not found"); the discovery of points provides the index of each.
+        # EnergyPlus 25.2 returns -1 for the first meter in its list, although reading index 0 works (getMeterHandle
+        # treats 0 as "not found"), and for a name with a small letter beyond ASCII; the discovery of points provides
+        # the index of each.
         for name, expected in (part for _, parts in spec["meters"] for part in parts):
             handle = exchange.get_meter_handle(state, name)
-            if handle != expected and not (expected == 0 and handle == -1):
+            if handle != expected and not (handle == -1 and (expected == 0 or not name.isascii())):
                 raise LookupError(f"meter {name!r} has handle {handle}, expected {expected}")
         handles = [[int(handle) for _, handle in parts] for _, parts in spec["meters"]]
         self.meters = [first for first, *_ in filter(None, handles)]

@@ -31,33 +31,42 @@ def named(name: str) -> dict[str, Any]:
     return model
 
 
-def first_sample(name: str, folder: Path) -> list[float]:
-    """Return the sensors at the beginning of a run of that model, by the engine of a node."""
+def first_samples(name: str, folder: Path) -> tuple[list[float], list[float]]:
+    """Return the values at the beginning of a run of that model and a timestep later, by the engine of a node.
+
+    They are the sensors and the energy of the zone's lights (J).
+    """
     path = folder / "box.epJSON"
     path.write_text(json.dumps(named(name)))
     sensors = {sensor: [variable, name] for sensor, variable in VARIABLES.items()}
     settings = {"building": str(path), "weather": str(find_weather("USA_CO_Denver").path), "sensors": sensors}
-    planned = plan(read_config({**settings, "meters": {}, "actuators": {}}))
+    meters = {"lights": f"InteriorLights:Electricity:Zone:{name}"}
+    planned = plan(read_config({**settings, "meters": meters, "actuators": {}}))
     assert planned.geometry.geometry is not None
     assert set(np.frombuffer(planned.geometry.geometry.zone_index, "<i2")) == {0}
     pool = EnginePool(planned, folder / "node", [EngineTemplate()])
     engine = pool.engine(0)
-    values = np.frombuffer(engine.frame.values()).tolist()
+    first = np.frombuffer(engine.frame.values()).tolist()
+    engine.send(b"")
+    engine.receive()
+    second = np.frombuffer(engine.frame.values()).tolist()
     engine.close()
     pool.close()
-    return values
+    return first, second
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> list[float]:
-    return first_sample("Box", tmp_path_factory.mktemp("plain"))
+def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[float], list[float]]:
+    return first_samples("Box", tmp_path_factory.mktemp("plain"))
 
 
 @pytest.mark.process
 @pytest.mark.parametrize("name", NAMES)
 def test_engine__reads_the_points_of_a_zone_of_any_name(
-    name: str, plain: list[float], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, plain: tuple[list[float], list[float]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ZENOSTAT_CACHE", str(tmp_path / "cache"))
-    assert first_sample(name, tmp_path) == plain
-    assert 0.0 not in plain
+    assert first_samples(name, tmp_path) == plain
+    (*sensors, none), (*_, lights) = plain
+    assert 0.0 not in sensors
+    assert (none, lights) == (0.0, 100.0 * 900)
