@@ -139,11 +139,7 @@ def _schema_refusals(model: UpgradingModel) -> Iterator[Refusal]:
         spelling = schema.canonical_type(kind) or kind
         if not schema.schema_errors({spelling: items}, complete=True):
             continue
-        if schema.canonical_type(kind) is None:
-            names = list(items) or [""]
-            yield from (Refusal(*model.origin(kind, name), "", schema.unknown_type(kind)) for name in names)
-            continue
-        for name, fields in items.items():
+        for name, fields in (items or {"": {}}).items():
             origin = model.origin(kind, name)
             errors = [] if origin in refused else schema.schema_errors({spelling: {name: fields}}, complete=True)
             for error in errors:

@@ -578,6 +578,10 @@ def test_upgrade__words_that_had_no_list_are_taken_in_any_case() -> None:
 def test_upgrade__type_without_a_rule_is_refused_with_the_reason() -> None:
     message = refused(f"Version,23.1;\n\n\n{HEAT_PUMP_COIL},\n  Coil A;\n")
     assert f"line 4: {HEAT_PUMP_COIL} 'Coil A': its part-load losses came from a cycling rate" in message
+    kind = "FaultModel:PressureSensorOffset:OutdoorAir"
+    assert refused(model("9.0", **{kind: {"F": {}}})).split("\n")[1:] == [
+        f"  {kind} 'F': EnergyPlus has no such fault since 9.1; remove it"
+    ]
 
 
 def test_upgrade__unknown_field_and_type_of_an_epjson_are_refused_by_name() -> None:
