@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import warnings
+import weakref
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import dataclass
@@ -304,7 +305,12 @@ class NodeConnection:
                 local_node=target.local_node,
                 keys=certificate_file(self._keys),
             )
-            self._bus = self._close.enter_context(bus)
+            finalizer = weakref.finalize(
+                self, _close_bus, bus, self.local_node
+            )  # for an environment that is not closed
+            finalizer.atexit = False
+            self._close.callback(finalizer)
+            self._bus = bus
         return self._bus
 
     def open_monitor(self) -> None:
@@ -369,6 +375,12 @@ class NodeConnection:
         if self._is_recording():
             with suppress(BusError, RequestRejected):
                 self._warn_of_recording(self._connected_bus().stop_recording(self._target.node), 4)
+
+
+def _close_bus(bus: Bus, local_node: LocalNode | None) -> None:
+    if local_node is not None and local_node.is_suspended:
+        local_node.close()  # first, as in `NodeConnection.close`
+    bus.close()
 
 
 class ConnectedEnv(SpaceNames):

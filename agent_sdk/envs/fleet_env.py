@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
+import weakref
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -104,6 +105,7 @@ class FleetVectorEnv(SlotAccess, SpaceNames, VectorEnv[Observations, Any, NDArra
         build(Claim, controller="env", priority=priority)
         self._raises, self.render_mode = on_error == "raise", render_mode
         self._close = ExitStack()
+        weakref.finalize(self, self._close.close).atexit = False  # for an environment that is not closed
         with ExitStack() as undo:
             undo.callback(self._close.close)
             connected = connect_all(self.addresses, None if keys is None else Path(keys), self._close)
