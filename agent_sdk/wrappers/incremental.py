@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from typing_extensions import override
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
 from zenostat.agent_sdk.wrappers.base import EnvView, ResetBatch, Values, WrapperLogic
 from zenostat.agent_sdk.wrappers.gymnasium_wrappers import Trait, wrappers_with
-from zenostat.agent_sdk.wrappers.names import indices_of, reject_wrappers
+from zenostat.agent_sdk.wrappers.names import indices_of, reject_wrappers, require_mapping
 from zenostat.topics.errors import InvalidAction, InvalidConfig
 
 Floats = NDArray[np.float64]
@@ -41,6 +42,7 @@ class _IncrementalLogic(WrapperLogic):
         reject_wrappers(
             view.env, NOT_IN_UNITS, view.wrapper_name + " changes values in their units; apply it before {}"
         )
+        require_mapping(initial, f"{view.wrapper_name}: initial", "{action: value}")
         names = view.action_names
         if not isinstance(view.action_space, Box) or view.action_space.shape != (len(names),):
             raise InvalidConfig(
@@ -50,6 +52,9 @@ class _IncrementalLogic(WrapperLogic):
         self.names = names
         self.indices = indices_of(initial, names, view.wrapper_name, "action")
         self.low, self.high = (bound[self.indices].astype(np.float64) for bound in (self.inner.low, self.inner.high))
+        for name, value in initial.items():
+            if not isinstance(value, Real):
+                raise InvalidConfig(f"{view.wrapper_name}: initial: {name}: a number expected, got {value!r}")
         self._initial = np.array(list(initial.values()), np.float64)
         self._check(initial)
         self._values = np.tile(self._initial, (view.slots, 1))
@@ -95,6 +100,8 @@ class _IncrementalActionLogic(_IncrementalLogic):
     def __init__(
         self, view: EnvView, increments: Mapping[str, float | Sequence[float]], initial: Mapping[str, float]
     ) -> None:
+        require_mapping(increments, f"{view.wrapper_name}: increments", "{action: largest increment}")
+        require_mapping(initial, f"{view.wrapper_name}: initial", "{action: value}")
         if set(increments) != set(initial):
             raise InvalidConfig(f"{view.wrapper_name}: increments and initial have to name the same actions")
         indices_of(increments, view.action_names, view.wrapper_name, "action")
@@ -153,6 +160,7 @@ class _DiscreteIncrementalActionLogic(_IncrementalLogic):
     def __init__(
         self, view: EnvView, steps: Mapping[str, float | Sequence[float]], initial: Mapping[str, float]
     ) -> None:
+        require_mapping(steps, f"{view.wrapper_name}: steps", "{action: step or steps}")
         super().__init__(view, initial)
         if missing := [name for name in self.names if name not in initial]:
             raise InvalidConfig(f"{view.wrapper_name}: initial also needs a value for {', '.join(missing)}")

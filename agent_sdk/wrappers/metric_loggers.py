@@ -43,7 +43,7 @@ class MeansLog(WrapperLogic):
 
     def __init__(self, view: EnvView, every: int) -> None:
         super().__init__(view)
-        if every < 1:
+        if not isinstance(every, int | float | np.number) or every < 1:
             raise InvalidConfig(f"{view.wrapper_name}: every should be a number of steps from 1 on, got {every!r}")
         reject_wrappers(view.env, ["RewardVector"], f"{view.wrapper_name} logs a scalar reward; apply it before {{}}")
         require_each_timestep(view.env, view.wrapper_name)

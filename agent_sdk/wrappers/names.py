@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -156,16 +156,24 @@ def indices_of(wanted: Iterable[str], names: Sequence[str], label: str, kind: st
         kind: the kind of name, for errors.
 
     Raises:
-        InvalidConfig: names that do not exist, or are listed twice; the error lists all of them.
+        InvalidConfig: not a list of names; names that do not exist, or are listed twice; the error lists all of them.
     """
     if isinstance(wanted, str):
         raise InvalidConfig(f"{label}: a list of names expected, such as [{wanted!r}], got {wanted!r}")
+    if not isinstance(wanted, Iterable) or not all(isinstance(name, str) for name in wanted):
+        raise InvalidConfig(f"{label}: a list of names expected, got {wanted!r}")
     wanted = list(wanted)
-    errors = [f"{label}: no {kind} {name!r}; {did_you_mean(str(name), names)}" for name in wanted if name not in names]
+    errors = [f"{label}: no {kind} {name!r}; {did_you_mean(name, names)}" for name in wanted if name not in names]
     errors += [f"{label}: {name!r} is listed twice" for name in repeated(wanted)]
     if errors:
         raise InvalidConfig("\n".join(errors))
     return [names.index(name) for name in wanted]
+
+
+def require_mapping(value: Any, label: str, form: str) -> None:
+    """Raise `InvalidConfig` if an argument is not a mapping; `form` shows the right form."""
+    if not isinstance(value, Mapping):
+        raise InvalidConfig(f"{label}: {form} expected, got {value!r}")
 
 
 def unknown_arguments(arguments: Iterable[str], known: Sequence[str], wrapper_name: str) -> list[str]:

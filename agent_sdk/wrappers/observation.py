@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
 from zenostat.agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
-from zenostat.agent_sdk.wrappers.names import indices_of, require_units
+from zenostat.agent_sdk.wrappers.names import indices_of, require_mapping, require_units
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.messages import TimeField
 
@@ -131,8 +131,9 @@ class PreviousObservation(BuildingWrapper):
 class _MetricLogic(ObservationLogic):
     def __init__(self, view: EnvView, metrics: Sequence[str]) -> None:
         super().__init__(view)
-        if not metrics or len(set(metrics)) < len(metrics):
-            raise InvalidConfig(f"{view.wrapper_name}: name at least one metric, each once; got {list(metrics)}")
+        indices_of(metrics, metrics, view.wrapper_name, "metric")
+        if not metrics:
+            raise InvalidConfig(f"{view.wrapper_name}: name at least one metric")
         self._metrics = list(metrics)
         infinite = np.full(len(metrics), np.inf, np.float32)
         self.extend(self._metrics, -infinite, infinite)
@@ -212,8 +213,9 @@ class _DifferenceLogic(ObservationLogic):
     def __init__(self, view: EnvView, pairs: Mapping[str, Sequence[str]]) -> None:
         super().__init__(view)
         require_units(view.env, view.wrapper_name)
+        require_mapping(pairs, f"{view.wrapper_name}: pairs", "{name: [temperature, setpoint]}")
         for name, pair in pairs.items():
-            if isinstance(pair, str) or len(pair) != 2:
+            if isinstance(pair, str) or not isinstance(pair, Sequence) or len(pair) != 2:
                 raise InvalidConfig(
                     f"{view.wrapper_name}: {name!r} should be a pair, [temperature, setpoint]; not {pair!r}"
                 )
@@ -235,7 +237,7 @@ class SetpointDifference(BuildingWrapper):
         pairs: (temperature, setpoint), both names of observations, by the name of the new value.
 
     Raises:
-        InvalidConfig: the observation does not have one of the names, a value is not a pair, or an inner wrapper
+        InvalidConfig: the observation does not have one of the names, `pairs` has another form, or an inner wrapper
             changes the units of the values.
     """
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from zenostat.agent_sdk.controllers.setpoint_offsets import SetpointOffsets
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
 from zenostat.agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic, append
 from zenostat.agent_sdk.wrappers.incremental import NOT_IN_UNITS
-from zenostat.agent_sdk.wrappers.names import reject_wrappers
+from zenostat.agent_sdk.wrappers.names import reject_wrappers, require_mapping
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import InvalidAction, InvalidConfig, UnknownName, did_you_mean
 
@@ -48,6 +49,11 @@ class _ResidualLogic(WrapperLogic):
         own = view.wrapper_name
         not_values = (*NOT_IN_UNITS, "ResidualAction")
         reject_wrappers(view.env, not_values, own + " adds to actions in their units; apply it before {}")
+        if not isinstance(controller, str):
+            raise InvalidConfig(
+                f"{own}: controller: the name of a rule ({', '.join(RULES)}) expected, got {controller!r}"
+            )
+        require_mapping({} if parameters is None else parameters, f"{own}: parameters", "{name: value}")
         if controller not in RULES:
             raise UnknownName(f"{own}: there is no rule {controller!r}; {did_you_mean(controller, RULES)}")
         if not isinstance(view.action_space, Box) or view.action_space.shape != (len(view.action_names),):
@@ -112,7 +118,7 @@ def _limits(offset: Any, names: Sequence[str], own: str) -> NDArray[np.float32]:
         if name not in names:
             raise UnknownName(f"{own}: there is no action {name!r}; {did_you_mean(name, names)}")
     for name, value in by_name.items():
-        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        is_number = isinstance(value, Real) and not isinstance(value, bool)
         if not is_number or not 0.0 < value < np.inf:
             raise InvalidConfig(f"{own}: offset of {name}: {value!r}; expected a number above 0")
     return np.array([by_name.get(name, 0.0) for name in names], np.float32)

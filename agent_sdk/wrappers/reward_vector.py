@@ -18,9 +18,9 @@ class _Logic(WrapperLogic):
         super().__init__(view)
         reject_wrappers(view.env, ["RewardVector"], "the chain already has a {}; it can have only one")
         require_each_timestep(view.env, view.wrapper_name, "remove one of them")
-        if not terms or isinstance(terms, str):
-            raise InvalidConfig(f"{view.wrapper_name}: terms should be a list of names, such as ['energy', 'comfort']")
         indices_of(terms, terms, view.wrapper_name, "term")
+        if not terms:
+            raise InvalidConfig(f"{view.wrapper_name}: terms should be a list of names, such as ['energy', 'comfort']")
         self._terms = list(terms)
         self.reward_space = Box(-np.inf, np.inf, (len(self._terms),), np.float64)
 

@@ -14,6 +14,7 @@ from pydantic import TypeAdapter, ValidationError
 from zenostat.agent_sdk.time_series import Signal as SignalData
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
 from zenostat.agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
+from zenostat.agent_sdk.wrappers.names import require_mapping
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig
 
@@ -77,6 +78,7 @@ def _check_hours(hours: Any, wrapper_name: str) -> None:
 class _Logic(ObservationLogic):
     def __init__(self, view: EnvView, signals: Mapping[str, Any], hours: Sequence[float] = (0,)) -> None:
         super().__init__(view)
+        require_mapping(signals, f"{view.wrapper_name}: signals", "{name: number or time series}")
         _check_hours(hours, view.wrapper_name)
         self._signals = [read_signal(value, f"{view.wrapper_name}: {name}") for name, value in signals.items()]
         self._offsets = [timedelta(hours=hour) for hour in hours]

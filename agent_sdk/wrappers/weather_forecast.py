@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
 from zenostat.agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
-from zenostat.agent_sdk.wrappers.names import indices_of
+from zenostat.agent_sdk.wrappers.names import indices_of, require_mapping
 from zenostat.agent_sdk.wrappers.random_streams import SlotRandomStreams
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import WeatherSeries
@@ -139,15 +139,16 @@ class _Logic(ObservationLogic):
         errors: Mapping[str, Any] | None = None,
     ) -> None:
         super().__init__(view)
-        if not (columns and n > 0 and 0 < spacing_h < np.inf) or isinstance(columns, str):
+        indices_of(columns, columns, view.wrapper_name, "column")
+        if not isinstance(n, int | np.integer):
+            raise InvalidConfig(f"{view.wrapper_name}: n = {n!r}; a whole number expected")
+        if not isinstance(spacing_h, int | float | np.number):
+            raise InvalidConfig(f"{view.wrapper_name}: spacing_h = {spacing_h!r}; a number of hours expected")
+        if not (columns and n > 0 and 0 < spacing_h < np.inf):
             raise InvalidConfig(
                 f"{view.wrapper_name}: columns has to name at least one column, with n and spacing_h above 0"
             )
-        if not isinstance(n, int | np.integer):
-            raise InvalidConfig(f"{view.wrapper_name}: n = {n!r}; a whole number expected")
-        if not isinstance(errors, Mapping | None):
-            raise InvalidConfig(f"{view.wrapper_name}: errors = {errors!r}; errors by column expected")
-        indices_of(columns, columns, view.wrapper_name, "column")
+        require_mapping({} if errors is None else errors, f"{view.wrapper_name}: errors", "{column: error}")
         indices_of(errors or {}, columns, view.wrapper_name, "column")
         self._columns = list(columns)
         self._horizons_h = spacing_h * np.arange(1, n + 1, dtype=np.float64)

@@ -263,6 +263,15 @@ def test_wrappers__chains_that_cannot_be(chain: list[Any], text: str) -> None:
         (w.PreviousObservation, "PreviousObservation: missing a required argument: 'names'"),
         (lambda env: w.PreviousObservation(env, "core"),
             r"PreviousObservation: a list of names expected, such as \['core'\], got 'core'"),
+        (lambda env: w.PreviousObservation(env, 3), "PreviousObservation: a list of names expected, got 3"),
+        (lambda env: w.MetricObservation(env, "power"), r"a list of names expected, such as \['power'\], got 'power'"),
+        (lambda env: w.RewardVector(env, [3]), r"RewardVector: a list of names expected, got \[3\]"),
+        (lambda env: w.SetpointDifference(env, [["core", "cool"]]),
+            r"SetpointDifference: pairs: {name: \[temperature, setpoint\]} expected, got \[\['core', 'cool'\]\]"),
+        (lambda env: w.SetpointDifference(env, {"core": 3}), "'core' should be a pair"),
+        (lambda env: w.TimeSeriesObservation(env, ["price"]), "signals: {name: number or time series} expected"),
+        (lambda env: w.apply_wrappers(env, [{"wrapper": "SetpointDifference", "pairs": ["core", "cool"]}]),
+            "SetpointDifference: pairs: {name:"),
     ],
 )  # fmt: skip
 def test_wrappers__arguments_that_cannot_be(wrong: Callable[[Any], Any], text: str) -> None:

@@ -126,10 +126,14 @@ def test_wrappers__what_a_forecast_cannot_be() -> None:
     for wrong in ({"sigma": 1e308}, {"sigma": 1.0, "mu": [-1e10, 0.0]}):
         with pytest.raises(InvalidConfig, match=r"sigma and mu up to 1e\+09; got"):
             w.WeatherForecast(fake(), [DRY], errors={DRY: wrong})
-    with pytest.raises(InvalidConfig, match="errors = 3; errors by column expected"):
+    with pytest.raises(InvalidConfig, match=r"errors: {column: error} expected, got 3"):
         w.WeatherForecast(fake(), [DRY], errors=3)  # type: ignore[arg-type]
     with pytest.raises(InvalidConfig, match=r"n = 1\.5; a whole number"):
         w.WeatherForecast(fake(), [DRY], n=1.5)  # type: ignore[arg-type]
+    with pytest.raises(InvalidConfig, match="n = '6'; a whole number"):
+        w.WeatherForecast(fake(), [DRY], n="6")  # type: ignore[arg-type]
+    with pytest.raises(InvalidConfig, match="spacing_h = '1'; a number of hours"):
+        w.WeatherForecast(fake(), [DRY], spacing_h="1")  # type: ignore[arg-type]
     with pytest.raises(InvalidConfig, match="n and spacing_h above 0"):
         w.WeatherForecast(fake(), [DRY], n=0)
 

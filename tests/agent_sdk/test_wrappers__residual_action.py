@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import gymnasium as gym
@@ -11,6 +12,7 @@ from support.nodes import SMALL
 
 from zenostat import wrappers as w
 from zenostat.agent_sdk.controllers import Agent, RuleBasedController
+from zenostat.agent_sdk.controllers.fixed import FixedSetpoints
 from zenostat.agent_sdk.testing import FakeEnv
 from zenostat.topics.errors import InvalidAction, InvalidConfig, UnknownName
 
@@ -67,6 +69,8 @@ def test_residual_action__only_named_actions_have_offsets() -> None:
     ("arguments", "error", "text"),
     [
         ({"controller": "rcb"}, UnknownName, "there is no rule 'rcb'; did you mean 'rbc'"),
+        ({"controller": FixedSetpoints}, InvalidConfig, "controller: the name of a rule (fixed, setback,"),
+        ({"parameters": [1.0]}, InvalidConfig, "parameters: {name: value} expected, got [1.0]"),
         ({"controller": "plant.py:Mine"}, UnknownName, "there is no rule 'plant.py:Mine'"),
         ({"offset": 0.0}, InvalidConfig, "expected a number above 0"),
         ({"offset": {"nothing": 1.0}}, UnknownName, "there is no action 'nothing'"),
@@ -76,7 +80,7 @@ def test_residual_action__only_named_actions_have_offsets() -> None:
 def test_residual_action__bad_arguments_are_refused(
     arguments: dict[str, Any], error: type[Exception], text: str
 ) -> None:
-    with FakeEnv() as env, pytest.raises(error, match=text.replace("(", r"\(")):
+    with FakeEnv() as env, pytest.raises(error, match=re.escape(text)):
         w.ResidualAction(env, **arguments)
 
 
