@@ -37,24 +37,25 @@ def check(
     """
     results = load_results(path)
     chosen = selected_rows(results, selection, str(path))
-    return check_rows(
+    files = check_controllers(list(dict.fromkeys(row.controller for row in chosen)))
+    differences = [f"definition of {name}" for name in stale_trainings(results)]
+    for known, now in ((results.hashes, hashes or {}), (results.controllers, files)):
+        differences += [f"file {name}" for name, digest in now.items() if known.get(name, digest) != digest]
+    return differences + check_rows(
         results, chosen, workers=workers, cache=cache_folder(path) if cache is None else cache, policies=policies,
-        progress=progress, hashes=hashes,
+        progress=progress,
     )  # fmt: skip
 
 
 def check_rows(
     results: Results, chosen: Collection[Row], *, cache: Path, workers: int = 1, policies: Path | None = None,
-    progress: Progress | None = None, hashes: Mapping[str, str] | None = None, but_for_rounding: bool = False,
+    progress: Progress | None = None, but_for_rounding: bool = False,
 ) -> list[str]:  # fmt: skip
-    """Run some rows of results again, and return what differs, if anything with the versions; see `check`.
+    """Run some rows of results again, and return those that differ, if any with the versions that do; see `check`.
 
     With `but_for_rounding`, rows that are equal but for it are accepted.
     """
-    files = check_controllers(list(dict.fromkeys(row.controller for row in chosen)))
-    differences = [f"definition of {name}" for name in stale_trainings(results)]
-    for known, now in ((results.hashes, hashes or {}), (results.controllers, files)):
-        differences += [f"file {name}" for name, digest in now.items() if known.get(name, digest) != digest]
+    differences: list[str] = []
     episodes = [episode_of(row) for row in chosen]
     again: dict[Episode, Row] = {}
     with worker_pool(workers) as run_all:

@@ -13,7 +13,7 @@ from zenostat.lab.benchmark.definition import BASELINE, BASELINES, REWARD, SETS,
 from zenostat.lab.benchmark.rerun import check_rows
 from zenostat.lab.benchmark.results import Results, changed_versions, episode_of, load_results
 from zenostat.lab.benchmark.results_file import ROUNDING, TERMS, Row, is_rounding
-from zenostat.lab.benchmark.run import name_of, stale_trainings
+from zenostat.lab.benchmark.run import check_controllers, name_of, stale_trainings
 from zenostat.lab.benchmark.scores import relative_reward
 from zenostat.lab.workers import Progress
 from zenostat.topics.errors import InvalidConfig
@@ -62,6 +62,12 @@ def check_submission(
     results = load_results(path)
     errors = [f"{name}: not the file of the benchmark" for name in hashes if results.hashes.get(name) != hashes[name]]
     errors += [f"{name}: trained or tuned for another definition" for name in stale_trainings(results)]
+    known = check_controllers([name for name in results.names() if name in BASELINES or name in controllers])
+    errors += [
+        f"{name}: its hash is not that of the {'controller of the benchmark' if name in BASELINES else 'present file'}"
+        for name, digest in known.items()
+        if results.controllers.get(name, digest) != digest
+    ]
     errors += _incomplete(results) + _implausible(results)
     different, notes = _compare_baseline(results, path, reference)
     errors += different
@@ -74,7 +80,7 @@ def check_submission(
         with tempfile.TemporaryDirectory() as folder:
             errors += check_rows(
                 results, drawn, cache=cache or Path(folder), workers=workers, policies=policies, progress=progress,
-                hashes=hashes, but_for_rounding=True,
+                but_for_rounding=True,
             )  # fmt: skip
     else:
         notes.append("no rows were run again, so these checks find contradictions alone: --sample 20 runs 20 of them")

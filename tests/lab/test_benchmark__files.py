@@ -28,7 +28,7 @@ from zenostat.lab.benchmark.prepared import Preparation, ensure_prepared
 from zenostat.lab.benchmark.recipes import is_residual
 from zenostat.lab.benchmark.results import NEEDED_VERSIONS, changed_versions
 from zenostat.lab.benchmark.results_file import rows_digest, schema
-from zenostat.lab.benchmark.run import stale_trainings
+from zenostat.lab.benchmark.run import check_controllers, stale_trainings
 from zenostat.lab.benchmark.submission import check_submission
 from zenostat.topics import VERSION as PRODUCT_VERSION
 from zenostat.topics import yaml12
@@ -55,7 +55,7 @@ def record(controller: str, building: str, number: int | None = 0) -> dict[str, 
 
 
 def written(path: Path, rows: Iterable[Row], **changes: Any) -> Path:
-    results = Results("smoke", hashes={OFFICE: "ab"}, controllers={"baseline": "00", "rbc": "01"})
+    results = Results("smoke", hashes={OFFICE: "ab"}, controllers=check_controllers(["baseline", "rbc"]))
     if "versions" in changes:
         changes["versions"] = {**dict.fromkeys(NEEDED_VERSIONS, "1.0"), **changes["versions"]}
     for name, value in changes.items():
@@ -480,6 +480,15 @@ def test_benchmark_files__all_errors_of_a_submission_are_listed(
     assert len(errors) == len(expected)
 
 
+def test_benchmark_files__controllers_of_the_benchmark_with_other_parameters_are_refused(
+    rows: list[Row], reference: Path, tmp_path: Path
+) -> None:
+    other = {**check_controllers(["baseline"]), "rbc": "0" * 64}
+    path = written(tmp_path / "submitted.json", rows, trainings=TRAININGS, controllers=other)
+    errors, _ = check_submission(path, reference, {})
+    assert errors == ["rbc: its hash is not that of the controller of the benchmark"]
+
+
 def test_benchmark_files__other_versions_are_noted_instead_of_compared(
     rows: list[Row], complete: Path, tmp_path: Path
 ) -> None:
@@ -508,7 +517,7 @@ def test_benchmark_files__sample_is_drawn_from_the_seed_and_runs_no_unnamed_code
     episodes = [Episode("evil.py:Evil", task, seed) for task in SMOKE.tasks() for seed in SMOKE.seeds]
     path = written(
         tmp_path / "submitted.json", [*rows, *map(row, episodes)], trainings=TRAININGS,
-        controllers={"baseline": "00", "rbc": "01", "evil.py:Evil": "02"},
+        controllers={**check_controllers(["baseline", "rbc"]), "evil.py:Evil": "02"},
     )  # fmt: skip
     drawn: list[list[str]] = []
     places: list[list[Any]] = []
@@ -524,7 +533,12 @@ def test_benchmark_files__sample_is_drawn_from_the_seed_and_runs_no_unnamed_code
         assert errors == []
         assert any("evil.py:Evil: not part of the benchmark" in note for note in notes)
     assert drawn == [[], [], []]
-    _, notes = check_submission(path, reference, {}, sample=1, controllers=["evil.py:Evil"])
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "evil.py").write_text(
+        "class Evil:\n    def __init__(self, manifest): ...\n    def act(self, sample): ...\n"
+    )
+    errors, notes = check_submission(path, reference, {}, sample=1, controllers=["evil.py:Evil"])
+    assert errors == ["evil.py:Evil: its hash is not that of the present file"]
     assert drawn[-1] == ["evil.py:Evil"]  # rows of the submission alone
     seeds = [note.partition("--sample-seed ")[2] for note in notes if "--sample-seed" in note]
     check_submission(path, reference, {}, sample=1, controllers=["evil.py:Evil"], sample_seed=int(seeds[0]))
