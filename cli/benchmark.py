@@ -171,6 +171,8 @@ def _check_options(options: Collection[str]) -> None:
         modes = [name for name, allowed in _MODES.items() if option in allowed]
         only = f"only with {' or '.join(modes)}, " if modes and option not in _MODES else ""
         faults.append(f"{option}: {only}not with {mode}")
+    if {"--json", "--bounds"} <= set(options) and "--page" not in options:
+        faults.append("--bounds: not with --json, which prints the rows alone; only with --page as well")
     if faults:
         raise InvalidConfig("\n".join(faults))
 

@@ -7,6 +7,7 @@ import binascii
 import hashlib
 import math
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -84,6 +85,10 @@ class Bound(BaseModel):
     def key(self) -> Key:
         """Identity among the bounds of a set."""
         return (self.building, self.season, self.weather, self.seed)
+
+    def changed_files(self, hashes: Mapping[str, str]) -> list[str]:
+        """Return which files have another hash among some than in the bound: `file ref-warehouse`."""
+        return [f"file {name}" for name, digest in self.hashes.items() if hashes.get(name, digest) != digest]
 
     def sequence(self) -> Actions:
         """Return the actions, shape (timesteps, actions).
@@ -172,10 +177,16 @@ def load_bounds(folder: Path, set_name: str) -> dict[Key, Bound]:
 
     Raises:
         UnknownName: there is no such folder, or it has no bounds.
+        InvalidConfig: two files have bounds of one task and seed.
     """
     if not folder.is_dir():
         raise UnknownName(f"there is no folder {folder.absolute()}; one that `zenostat bounds` wrote expected")
-    bounds = [load_bound(path, set_name) for path in sorted(folder.glob("[!.]*.json"))]
+    bounds: dict[Key, Bound] = {}
+    for path in sorted(folder.glob("[!.]*.json")):
+        bound = load_bound(path, set_name)
+        if bound.key in bounds:
+            raise InvalidConfig(f"{path} has a bound of {bound.task}/{bound.seed}, as another file there: remove one")
+        bounds[bound.key] = bound
     if not bounds:
         raise UnknownName(f"{folder} has no bounds; write them with `zenostat bounds {folder}`")
-    return {bound.key: bound for bound in bounds}
+    return bounds

@@ -180,13 +180,9 @@ def improve_bound(
 
 def _continued(job: BoundTask) -> Bound:
     bound = load_bound(job.path, job.set)
-    if changes := [*changed_versions(bound.versions), *_changed_files(bound, job.hashes)]:
+    if changes := [*changed_versions(bound.versions), *bound.changed_files(job.hashes)]:
         raise InvalidConfig(f"{job.path} was made with something else ({'; '.join(changes)}): choose another folder")
     return bound
-
-
-def _changed_files(bound: Bound, hashes: Mapping[str, str]) -> list[str]:
-    return [f"file {name}" for name, digest in bound.hashes.items() if hashes.get(name, digest) != digest]
 
 
 def _first_bound(job: BoundTask, search_seed: int) -> Bound:
@@ -362,7 +358,7 @@ def check_bound(bound: Bound, set_name: str, hashes: Mapping[str, str] | None = 
         if bound.shape != shape:
             return [f"{job}: actions of shape {bound.shape}; {shape} expected"]
         outcome = replayed(env, bound.sequence(), bound.seed)
-    differences = [f"{job}: {change}" for change in _changed_files(bound, hashes or {})]
+    differences = [f"{job}: {change}" for change in bound.changed_files(hashes or {})]
     for name, value in (("reward", outcome.reward), ("linear", outcome.linear), ("terms", outcome.terms)):
         if getattr(bound, name) != value:
             differences.append(f"{job}: {name} {getattr(bound, name)!r}, now {value!r}")

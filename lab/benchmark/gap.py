@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from zenostat.lab.benchmark.bound_file import Bound, Key
 from zenostat.lab.benchmark.definition import BASELINE, BUILDINGS
-from zenostat.lab.benchmark.results import Results
+from zenostat.lab.benchmark.results import Results, changed_versions
 from zenostat.lab.benchmark.results_file import Row
 from zenostat.lab.benchmark.scores import compared_rows, score_rows
 from zenostat.lab.benchmark.tables import Table, interval_text, tables
@@ -20,10 +20,19 @@ def tables_with_gap(results: Results, bounds: Mapping[Key, Bound] | None) -> Ite
     """Yield the tables of results, and that of the shares of the gap if there are bounds.
 
     Raises:
-        InvalidConfig: see `score_rows` and `gap_table`.
+        InvalidConfig: see `score_rows` and `gap_table`; or the rows and the bound of an episode were made with other
+            versions or files.
     """
     yield from tables(results)
     if bounds:
+        for key in sorted({_key(row) for row in results.rows.values()} & bounds.keys()):
+            bound = bounds[key]
+            changes = changed_versions(bound.versions, results.versions) + bound.changed_files(results.hashes)
+            if changes:
+                raise InvalidConfig(
+                    f"the rows of {bound.task}/{bound.seed} cannot be compared with its bound, which was made with "
+                    f"something else: {'; '.join(changes)}"
+                )
         yield gap_table(results.rows.values(), bounds)
 
 

@@ -428,6 +428,7 @@ def test_benchmark__selection_without_rows_is_refused(saved: Path, options: list
         ),
         (["--submit-check", "r", "--page", "p.md"], ["--page: only with", "not with --submit-check"]),
         (["--submit-check", "r", "--controllers", "rbc"], ["--controllers: only with --sample or"]),
+        (["--show", "r", "--json", "--bounds", "b"], ["--bounds: not with --json"]),
         (["--out", "r", "--sample", "2"], ["--sample: only with --submit-check"]),
         (["--out", "r", "--reference", "r"], ["--reference: only with --sample or --submit-check, not with --out"]),
         (["--schema", "--workers", "1"], ["--workers: only with", "not with --schema"]),

@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +30,8 @@ from zenostat.lab.benchmark.bound_moves import (
 )
 from zenostat.lab.benchmark.bound_search import BATCH, Best, Simulated, search
 from zenostat.lab.benchmark.bounds import BoundTask, check_bound, improve_bound, tasks_of
-from zenostat.lab.benchmark.gap import gap_share, gap_table
+from zenostat.lab.benchmark.gap import gap_share, gap_table, tables_with_gap
+from zenostat.lab.benchmark.tables import tables
 from zenostat.topics.errors import InvalidConfig, SimulatorError, UnknownName
 
 DAY = 24
@@ -261,6 +263,13 @@ def test_bounds__folder_without_bounds_is_refused(tmp_path: Path) -> None:
         load_bounds(tmp_path / "none", "smoke")
 
 
+def test_bounds__two_files_of_one_task_and_seed_are_refused(tmp_path: Path) -> None:
+    path = example().save(tmp_path)
+    (tmp_path / "zz.json").write_text(path.read_text())
+    with pytest.raises(InvalidConfig, match=f"zz.json has a bound of {TASK}/{SEED}, as another file there"):
+        load_bounds(tmp_path, "smoke")
+
+
 def test_bounds__tasks_are_chosen_by_name() -> None:
     assert tasks_of("smoke", building=[OFFICE], seed=None) == [(TASK, SEED)]
     assert len(tasks_of("quick")) == 30
@@ -336,6 +345,22 @@ def test_gap__command_shows_the_tables_before_it_says_that_no_bound_is_of_their_
     assert isinstance(done.exception, InvalidConfig)
     assert "no episode of all controllers has a bound above the baseline control" in str(done.exception)
     assert "Scores by building" in done.output
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [({"hashes": {OFFICE: "cd"}}, f"file {OFFICE}"), ({"versions": {"numpy": "1.0"}}, "numpy 1.0, now ")],
+)
+def test_gap__bounds_of_other_files_or_versions_are_refused(changes: dict[str, Any], text: str) -> None:
+    results = Results("smoke", hashes={OFFICE: "ab"})
+    results.add([row("baseline", SEED, -10.0), row("rbc", SEED, -9.0)])
+    own = example(hashes={OFFICE: "ab", "ref-other": "00"}, versions=results.versions)
+    assert len(list(tables_with_gap(results, {own.key: own}))) == len(tables(results)) + 1
+    other = own.model_copy(update=changes)
+    with pytest.raises(InvalidConfig, match=f"{TASK}/{SEED} cannot be compared with its bound, .*: {text}"):
+        list(tables_with_gap(results, {other.key: other}))
+    elsewhere = other.model_copy(update={"seed": 1})
+    assert len(list(tables_with_gap(results, {own.key: own, elsewhere.key: elsewhere}))) == len(tables(results)) + 1
 
 
 # Real episodes
