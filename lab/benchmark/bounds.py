@@ -25,10 +25,11 @@ from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.lab.benchmark.bound_file import Bound, bound_path, definition_of, load_bound, packed
 from zenostat.lab.benchmark.bound_moves import Actions, Floats, SequenceSpace
 from zenostat.lab.benchmark.bound_search import Best, Simulated, search
-from zenostat.lab.benchmark.definition import BASELINES, SETS, TUNED, Task, is_prepared
+from zenostat.lab.benchmark.definition import BASELINE, BASELINES, SETS, TUNED, Task, is_prepared
 from zenostat.lab.benchmark.episodes import LinearReward, make_task_controller
 from zenostat.lab.benchmark.prepared import Preparation, check_published
 from zenostat.lab.benchmark.results import NEEDED_VERSIONS, changed_versions, current_versions
+from zenostat.lab.benchmark.selection import Selection
 from zenostat.lab.evaluate import run_episode
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 from zenostat.topics.file_lock import locked
@@ -111,21 +112,9 @@ def tasks_of(set_name: str, **conditions: Sequence[Any] | None) -> list[tuple[Ta
     """
     if set_name not in SETS:
         raise UnknownName(f"there is no set {set_name!r}; {did_you_mean(set_name, SETS, limit=len(SETS))}")
-    rows = [(*task.key, seed) for task in SETS[set_name].tasks() for seed in SETS[set_name].seeds]
-    columns = ("building", "season", "weather", "seed")
-    for name, wanted in conditions.items():
-        known = {str(row[columns.index(name)]) for row in rows}
-        for value in wanted or ():
-            if str(value) not in known:
-                raise UnknownName(f"the set {set_name!r} has no {name} {value!r}; {did_you_mean(str(value), known)}")
-    chosen = [
-        (Task(*row[:3]), row[3])
-        for row in rows
-        if all(wanted is None or row[columns.index(name)] in wanted for name, wanted in conditions.items())
-    ]
-    if not chosen:
-        raise UnknownName(f"the set {set_name!r} has no task that meets all conditions together")
-    return chosen
+    selection, episodes = Selection(**conditions), SETS[set_name].episodes([BASELINE])
+    selection.check(episodes, f"the set {set_name!r}")
+    return [(episode.task, episode.seed) for episode in episodes if selection.has(episode)]
 
 
 def check_starts(jobs: Sequence[BoundTask]) -> None:

@@ -273,7 +273,7 @@ def test_bounds__two_files_of_one_task_and_seed_are_refused(tmp_path: Path) -> N
 def test_bounds__tasks_are_chosen_by_name() -> None:
     assert tasks_of("smoke", building=[OFFICE], seed=None) == [(TASK, SEED)]
     assert len(tasks_of("quick")) == 30
-    with pytest.raises(UnknownName, match="no season 'autumn'"):
+    with pytest.raises(UnknownName, match="no rows of the season 'autumn'"):
         tasks_of("quick", season=["autumn"])
     with pytest.raises(UnknownName, match="no set 'slow'"):
         tasks_of("slow")
