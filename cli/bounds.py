@@ -11,6 +11,7 @@ import typer
 
 from zenostat.cli.console import err, out, progress
 from zenostat.cli.name_lists import end_with_failures, names_in, numbers_in
+from zenostat.cli.options import is_explicit
 from zenostat.cli.tables import show
 from zenostat.topics.errors import InvalidConfig
 
@@ -21,9 +22,13 @@ if TYPE_CHECKING:
     from zenostat.lab.benchmark.bounds import BoundTask
 
 _Names = Annotated[str | None, typer.Option(help="Only these tasks; names separated by commas.", show_default=False)]
+_SEARCH = {"simulations": "--simulations", "controllers": "--controllers", "policies": "--policies",
+           "search_seed": "--search-seed"}  # fmt: skip
+"""Options of a search by parameter; all but the first have an effect only where it begins."""
 
 
 def bounds(
+    context: typer.Context,
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder with a file for each task and seed.")],
     set_name: Annotated[str, typer.Option("--set", help="Set of the benchmark: smoke, quick or full.")] = "quick",
     simulations: Annotated[
@@ -39,7 +44,9 @@ def bounds(
     policies: Annotated[
         Path | None, typer.Option(help="Folder with the policies of `tuned`, `ppo` or `sac`, as of the benchmark.")
     ] = None,
-    workers: Annotated[int, typer.Option(min=1, max=256, help="Tasks that are searched at the same time.")] = 1,
+    workers: Annotated[
+        int, typer.Option(min=1, max=256, help="Tasks that are searched, or checked, at the same time.")
+    ] = 1,
     building: _Names = None,
     season: _Names = None,
     weather: _Names = None,
@@ -55,35 +62,36 @@ def bounds(
 
     Ctrl-C ends it; the same command continues where the file of the task was written last. More simulations improve it.
     """
-    from zenostat.cli.benchmark import file_hashes
-    from zenostat.lab.benchmark.bounds import BoundTask, check_starts, tasks_of
+    from zenostat.cli.benchmark import file_hashes, watcher
+    from zenostat.lab.benchmark.bounds import BoundTask, check_starts, improve_bound, tasks_of
+    from zenostat.lab.workers import worker_pool
 
+    explicit = [option for name, option in _SEARCH.items() if is_explicit(context, name)]
+    if checked and explicit:
+        raise InvalidConfig(
+            "\n".join(f"{option}: not with --check, which runs the saved actions" for option in explicit)
+        )
     names = {"building": building, "season": season, "weather": weather}
     conditions: dict[str, Any] = {name: names_in(text, f"--{name}") for name, text in names.items() if text is not None}
     tasks = tasks_of(set_name, **conditions, seed=None if seed is None else numbers_in(seed, "--seed"))
     hashes = file_hashes(set_name)
     if checked:
-        _check(folder, set_name, [(*task.key, number) for task, number in tasks], hashes)
+        _check(folder, set_name, [(*task.key, number) for task, number in tasks], hashes, workers)
         return
     starts = names_in(controllers, "--controllers")
     jobs = [BoundTask(set_name, task, number, folder, starts, hashes, policies) for task, number in tasks]
     check_starts(jobs)
-    if workers == 1:
-        _show([_improve(job, simulations, search_seed) for job in jobs])
-    else:
-        _improve_all(jobs, simulations, search_seed, workers)
-
-
-def _improve_all(jobs: Sequence[BoundTask], simulations: int, search_seed: int, workers: int) -> None:
-    from zenostat.cli.benchmark import watcher
-    from zenostat.lab.benchmark.bounds import improve_bound
-    from zenostat.lab.workers import worker_pool
-
+    continued = sum(job.path.exists() for job in jobs)
+    if continued and (unused := [option for option in explicit if option != "--simulations"]):
+        what = f"{', '.join(unused)}: of new searches alone"
+        err.print(f"{what}; {continued} of {len(jobs)} tasks have a file, with which their search continues")
     errors: list[str] = []
-    function = partial(improve_bound, simulations=simulations, search_seed=search_seed)
+    improve = partial(_improve if workers == 1 else improve_bound, simulations=simulations, search_seed=search_seed)
     with ExitStack() as stack, worker_pool(workers) as run_all:
-        improved = list(run_all(function, jobs, "bounds", watcher(stack), errors))
-    _show(sorted(improved, key=lambda bound: bound.key))
+        watch = None if workers == 1 else watcher(stack)  # one at a time shows its own progress
+        improved = list(run_all(improve, jobs, "bounds", watch, errors))
+    if improved:
+        _show(sorted(improved, key=lambda bound: bound.key))
     end_with_failures(errors, "failed: ")
 
 
@@ -94,7 +102,7 @@ def _improve(job: BoundTask, simulations: int, search_seed: int) -> Bound:
     if not out.is_interactive:
 
         def tell(done: int, reward: float) -> None:
-            err.print(f"{name}: {done} of {simulations} simulations, {reward:.2f}")
+            err.print(f"{name}: {done} of {max(done, simulations)} simulations, {reward:.2f}")
 
         return improve_bound(job, simulations, search_seed=search_seed, progress=tell)
     with progress() as bars:
@@ -106,14 +114,21 @@ def _improve(job: BoundTask, simulations: int, search_seed: int) -> Bound:
         return improve_bound(job, simulations, search_seed=search_seed, progress=watch)
 
 
-def _check(folder: Path, set_name: str, keys: Sequence[Any], hashes: dict[str, str]) -> None:
+def _check(folder: Path, set_name: str, keys: Sequence[Any], hashes: dict[str, str], workers: int) -> None:
+    from zenostat.cli.benchmark import watcher
     from zenostat.lab.benchmark.bound_file import load_bounds
     from zenostat.lab.benchmark.bounds import check_bound
+    from zenostat.lab.workers import worker_pool
 
     chosen = [bound for key, bound in load_bounds(folder, set_name).items() if key in set(keys)]
     if not chosen:
         raise InvalidConfig(f"{folder} has no bounds of the chosen tasks")
-    end_with_failures([change for bound in chosen for change in check_bound(bound, set_name, hashes)])
+    differences: list[str] = []
+    check = partial(check_bound, set_name=set_name, hashes=hashes)
+    with ExitStack() as stack, worker_pool(workers) as run_all:
+        for changes in run_all(check, chosen, "bounds", watcher(stack), differences):
+            differences += changes
+    end_with_failures(differences)
     out.print(f"{folder}: bounds that are equal to the bit: {len(chosen)}")
 
 
@@ -124,7 +139,7 @@ def _show(bounds_of_tasks: Sequence[Bound]) -> None:
         baseline = bound.starts.get("baseline (relative)")
         rows.append(
             (
-                f"{bound.task}/{bound.seed}", "" if baseline is None else f"{baseline:,.2f}", best,
+                str(bound), "" if baseline is None else f"{baseline:,.2f}", best,
                 f"{bound.starts[best]:,.2f}", f"{bound.reward:,.2f}", str(bound.simulations),
             )
         )  # fmt: skip

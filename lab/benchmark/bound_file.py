@@ -76,6 +76,9 @@ class Bound(BaseModel):
     actions_hash: str
     actions: str
 
+    def __str__(self) -> str:
+        return f"{self.task}/{self.seed}"
+
     @property
     def task(self) -> Task:
         """Building, season and weather."""
@@ -185,7 +188,7 @@ def load_bounds(folder: Path, set_name: str) -> dict[Key, Bound]:
     for path in sorted(folder.glob("[!.]*.json")):
         bound = load_bound(path, set_name)
         if bound.key in bounds:
-            raise InvalidConfig(f"{path} has a bound of {bound.task}/{bound.seed}, as another file there: remove one")
+            raise InvalidConfig(f"{path} has a bound of {bound}, as another file there: remove one")
         bounds[bound.key] = bound
     if not bounds:
         raise UnknownName(f"{folder} has no bounds; write them with `zenostat bounds {folder}`")

@@ -118,13 +118,13 @@ def tasks_of(set_name: str, **conditions: Sequence[Any] | None) -> list[tuple[Ta
 
 
 def check_starts(jobs: Sequence[BoundTask]) -> None:
-    """Check the controllers with which new searches begin.
+    """Check the controllers with which searches begin, and that new ones have those that are prepared.
 
     Raises:
         UnknownName, InvalidConfig: see `load_controller` and `BoundTask.prepared`.
     """
     new = [job for job in jobs if not job.path.exists()]
-    for name in dict.fromkeys(name for job in new for name in job.controllers):
+    for name in dict.fromkeys(name for job in jobs for name in job.controllers):
         if name not in BASELINES:
             load_controller(name)
         for job in new:

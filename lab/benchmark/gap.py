@@ -30,7 +30,7 @@ def tables_with_gap(results: Results, bounds: Mapping[Key, Bound] | None) -> Ite
             changes = changed_versions(bound.versions, results.versions) + bound.changed_files(results.hashes)
             if changes:
                 raise InvalidConfig(
-                    f"the rows of {bound.task}/{bound.seed} cannot be compared with its bound, which was made with "
+                    f"the rows of {bound} cannot be compared with its bound, which was made with "
                     f"something else: {'; '.join(changes)}"
                 )
         yield gap_table(results.rows.values(), bounds)

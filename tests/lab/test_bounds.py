@@ -297,6 +297,31 @@ def test_bounds__start_that_is_missing_is_refused_before_any_search(
     assert not (tmp_path / "bounds").exists()
 
 
+def test_bounds__tasks_go_on_after_one_that_fails(tmp_path: Path) -> None:
+    other = dataclasses.replace(TASK, building=SETS["smoke"].buildings[1])
+    failing = example(versions={"numpy": "1.0"})
+    saved = example(building=other.building, definition=definition_of("smoke", other), reward=-7.0, simulations=9)
+    for bound in (failing, saved):
+        bound.save(tmp_path)
+    command = ["bounds", str(tmp_path), "--set", "smoke", "--simulations", "3"]
+    done = CliRunner().invoke(app, [*command, "--search-seed", "9"])
+    assert done.exit_code == 1
+    assert f"failed: {TASK}/{SEED}: " in done.output
+    assert "numpy 1.0, now " in done.output
+    assert f"{other}/{SEED}: 9 of 9 simulations, -7.00" in done.output
+    assert "--search-seed: of new searches alone; 2 of 2 tasks have a file" in " ".join(done.output.split())
+    unknown = CliRunner().invoke(app, [*command, "--controllers", "nonsense"])
+    assert isinstance(unknown.exception, UnknownName)
+
+
+def test_bounds__options_of_a_search_are_refused_with_check(tmp_path: Path) -> None:
+    example().save(tmp_path)
+    options = ["--simulations", "3", "--controllers", "nonsense", "--policies", "none", "--search-seed", "9"]
+    done = CliRunner().invoke(app, ["bounds", str(tmp_path), "--set", "smoke", "--check", *options])
+    assert isinstance(done.exception, InvalidConfig)
+    assert [line.partition(":")[0] for line in str(done.exception).splitlines()] == options[::2]
+
+
 # Shares of the gap
 
 
