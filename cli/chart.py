@@ -63,7 +63,10 @@ class Scale:
     def label(self, value: float) -> str:
         """Return a value as the axis shows it."""
         digits = next((n for n in range(7) if abs(round(self.step, n) - self.step) < 1e-6 * self.step), None)
-        return f"{value:,.{digits}f}" if digits is not None and abs(value) < 1e9 else f"{value:.4g}"
+        if digits is not None and max(abs(self.low), abs(self.high)) < 1e9:
+            return f"{value:,.{digits}f}"
+        digits = floor(log10(max(abs(self.low), abs(self.high)) / self.step)) + 3  # of steps of 2.5, too
+        return f"{value:.{digits}g}"
 
     def ticks(self) -> list[float]:
         """Return the values with labels, in ascending order."""

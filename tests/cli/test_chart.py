@@ -85,3 +85,12 @@ def test_labels__have_the_digits_of_their_distance() -> None:
     assert [Scale(20.0, 21.0, 0.25).label(v) for v in (20.0, 20.25)] == ["20.00", "20.25"]
     assert Scale(0.0, 1.0, 0.2).label(0.2 * 3) == "0.6"
     assert Scale(0.0, 4e6, 2e6).label(2e6) == "2,000,000"
+
+
+@pytest.mark.parametrize(
+    "ends", [(20.0, 20.000001), (0.1, 0.10000001), (5e9, 5.00001e9), (1e9 - 5, 1e9 + 5), (-2e20, -1.999e20)]
+)
+def test_a_scale__labels_of_nearly_constant_values_differ_and_are_the_values(ends: tuple[float, float]) -> None:
+    scale = scale_of([line([*ends])], 10)
+    labels = [float(scale.label(value).replace(",", "")) for value in scale.ticks()]
+    np.testing.assert_allclose(labels, scale.ticks(), rtol=0, atol=0.05 * scale.step)
