@@ -177,8 +177,8 @@ def _exists(path: Path) -> str:
     except (OSError, InvalidConfig):
         pass
     return (
-        f"{path} exists; choose another name, or a folder, in which each run has a file of its own, or replace it "
-        "(--overwrite, Bus.record(..., overwrite=True))"
+        f"{path} exists; choose another name, or a folder, in which each run has a file of its own "
+        "(--overwrite of `zenostat node` and `zenostat record`, and Bus.record(..., overwrite=True), replace it)"
     )
 
 
