@@ -214,6 +214,12 @@ def test_room__pause_step_speed_and_reset(ada: Visitor, room: Any, bus: zenostat
     until(lambda: bus.status("office").mode == "lockstep", "the mode is lockstep")
     page.locator("input[aria-label=Speed]").fill("9")
     until(lambda: (s := bus.status("office")).mode == "paced" and s.speed == 3600.0, "an hour each second")
+    bus.pace("office", 450.0)  # between two speeds of the page
+    page.locator(".speed", has_text="7.5 min/s").wait_for()
+    for mode in ("lockstep", "paced"):
+        page.locator("select[aria-label=Mode]").select_option(mode)
+        until(lambda mode=mode: bus.status("office").mode == mode, f"the mode is {mode}")
+    assert bus.status("office").speed == 450.0
     page.locator("select[aria-label=Mode]").select_option("free")
     until(lambda: bus.status("office").mode == "free", "the mode is free")
     episode = bus.status("office").episode[0]

@@ -220,9 +220,9 @@ export class NodePage {
     this.paceText = h("span", { class: "muted" });
     this.pauseButton = h("button", forOperators({ class: "transport", onclick: () => this.togglePause() }));
     this.stepButton = h("button", forOperators({ class: "transport", "aria-label": "One timestep", title: "One timestep (.)", onclick: () => operate(this.node, "step", { steps: 1 }) }), icon("step"));
-    this.mode = h("select", forOperators({ "aria-label": "Mode", onchange: () => this.setPace() }), ["lockstep", "paced", "free"].map((mode) => h("option", { value: mode }, mode)));
+    this.mode = h("select", forOperators({ "aria-label": "Mode", onchange: () => this.setPace(this.state.speed) }), ["lockstep", "paced", "free"].map((mode) => h("option", { value: mode }, mode)));
     this.speed = h("input", forOperators({ type: "range", min: 0, max: SPEEDS.length - 1, step: 1, "aria-label": "Speed",
-      oninput: () => { this.isSliding = true; this.showSpeed(); }, onchange: () => { this.isSliding = false; this.mode.value = "paced"; this.setPace(); } }));
+      oninput: () => { this.isSliding = true; this.showSpeed(); }, onchange: () => { this.isSliding = false; this.mode.value = "paced"; this.setPace(SPEEDS[this.speed.value]); } }));
     this.speedText = h("output", { class: "speed" });
     this.recordButton = h("button", forOperators({ class: "transport", onclick: () => this.toggleRecording() }), icon("record"));
     const reset = h("button", forOperators({ class: "transport", "aria-label": "Reset", title: "Begin a new episode",
@@ -269,7 +269,7 @@ export class NodePage {
     if (!this.isSliding) {
       const nearest = SPEEDS.reduce((best, speed, place) => (Math.abs(Math.log(speed / state.speed)) < Math.abs(Math.log(SPEEDS[best] / state.speed)) ? place : best), 0);
       this.speed.value = nearest;
-      this.showSpeed(state.mode === "paced" ? state.speed : SPEEDS[nearest]);
+      this.showSpeed(state.speed);
     }
     this.speed.classList.toggle("idle", state.mode !== "paced");
     const isRecording = state.recording && ["armed", "recording"].includes(state.recording.state);
@@ -331,9 +331,9 @@ export class NodePage {
     setAttribute(this.speed, "aria-valuetext", `${rate(speed)}`);
   }
 
-  setPace() {
+  setPace(speed) {
     const mode = this.mode.value;
-    operate(this.node, "pace", mode === "paced" ? { mode, speed: SPEEDS[this.speed.value] } : { mode });
+    operate(this.node, "pace", mode === "paced" ? { mode, speed } : { mode });
   }
 
   togglePause() { if (this.state) operate(this.node, this.state.paused ? "resume" : "pause"); }
