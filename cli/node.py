@@ -308,6 +308,10 @@ class ProgressBar:
 
     def __call__(self, node: NodeServer) -> None:
         """Show the state of a node."""
+        if (warning := self.warning()) != self._warned:  # also of a node that waits, and would not come here again
+            self._warned = warning
+            if warning:
+                out.warning(warning)
         now, state = time.monotonic(), node.exchange.state
         if now - self._updated_s < 0.1 and state is State.WAITING and not node.exchange.awaiting():
             return
@@ -317,9 +321,6 @@ class ProgressBar:
             self._bar, description=description, completed=node.exchange.step[0], total=node.manifest.steps
         )
         self._report_stopped_recording()
-        if (warning := self.warning()) != self._warned:
-            self._warned = warning
-            out.warning(warning)
 
     def _report_stopped_recording(self) -> None:
         status = self.recording()

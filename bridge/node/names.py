@@ -3,41 +3,85 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from time import monotonic
 
 import zenoh
 from zenoh.handlers import Callback
 
+from zenostat.bridge.runtime.timer import Timer
 from zenostat.topics import keys
 from zenostat.topics.errors import NameInUse
 
-
-def instances(session: zenoh.Session, name: str) -> list[str]:
-    """Return the session ids of all nodes of a name on the bus."""
-    replies = session.liveliness().get(keys.NODE_TOKEN.at(name, name="*"))
-    return [keys.last_chunk(str(reply.ok.key_expr)) for reply in replies if reply.ok]
+SETTLE_S = 5.0
+"""Wall time after its start within which a node leaves its name to one with a lower session id, in s."""
 
 
 def check_name_is_free(session: zenoh.Session, name: str) -> None:
     """Raise `NameInUse` if there is a node of that name that has another session."""
-    others = [instance for instance in instances(session, name) if instance != str(session.zid())]
-    if others:
-        raise NameInUse(f"a node named {name!r} is on this bus already (instance {others[0]}); choose another name")
+    for reply in session.liveliness().get(keys.NODE_TOKEN.at(name, name="*")):
+        if reply.ok and (instance := keys.last_chunk(str(reply.ok.key_expr))) != str(session.zid()):
+            raise _name_in_use(name, instance)
 
 
-def watch_name(session: zenoh.Session, name: str, on_namesake: Callable[[str], None]) -> zenoh.Subscriber[None]:
-    """Follow the nodes of a name from now on: two parts of a bus, each with one of them, may be connected later.
+class NameWatch:
+    """Follows the other nodes of a node's name.
+
+    Nodes that start at once find the name free. Each of them then sees the tokens of the others, and all but the one
+    with the lowest session id end. Two parts of a bus, each with a node of the name, may also be connected later; both
+    have been used by then, so they remain and report each other.
 
     Args:
-        session: that of a node of this name.
+        session: that of the node, which has not declared its own token yet.
         name: of the node.
-        on_namesake: called with the session id of each other node of the name that appears, in a thread of Zenoh's.
+        timer: delays reports of nodes that start at once with this one, since most of them end.
+        on_name_in_use: called with the error if this node has to end.
+        on_namesake: called with the session id of another node of the name, once this one has been on the bus for
+            `SETTLE_S`. When one that was reported has left, called with another that was, or with an empty text. Both
+            are called in a thread of the session or the timer.
     """
-    own = str(session.zid())
 
-    def on_token(token: zenoh.Sample) -> None:
+    def __init__(
+        self,
+        session: zenoh.Session,
+        name: str,
+        timer: Timer,
+        on_name_in_use: Callable[[NameInUse], None],
+        on_namesake: Callable[[str], None],
+    ) -> None:
+        self._name, self._own, self._timer = name, str(session.zid()), timer
+        self._on_name_in_use, self._on_namesake = on_name_in_use, on_namesake
+        self._others, self._reported = set[str](), set[str]()
+        self._settled_s = monotonic() + SETTLE_S
+        tokens, callback = keys.NODE_TOKEN.at(name, name="*"), Callback(self._on_token, indirect=False)
+        self._subscriber = session.liveliness().declare_subscriber(tokens, callback, history=True)
+
+    def close(self) -> None:
+        """Follow them no longer."""
+        self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+
+    def _on_token(self, token: zenoh.Sample) -> None:
         instance = keys.last_chunk(str(token.key_expr))
-        if token.kind == zenoh.SampleKind.PUT and instance != own:
-            on_namesake(instance)
+        if instance == self._own:
+            return
+        if token.kind == zenoh.SampleKind.DELETE:
+            self._others.discard(instance)
+            if instance in self._reported:
+                self._reported.discard(instance)
+                self._on_namesake(max(self._reported, default=""))
+            return
+        self._others.add(instance)
+        if monotonic() >= self._settled_s:
+            self._report(instance)
+        elif instance < self._own:
+            self._on_name_in_use(_name_in_use(self._name, instance))
+        else:
+            self._timer.at(self._settled_s, lambda: self._report(instance))
 
-    tokens, callback = keys.NODE_TOKEN.at(name, name="*"), Callback(on_token, indirect=False)
-    return session.liveliness().declare_subscriber(tokens, callback, history=True)
+    def _report(self, instance: str) -> None:
+        if instance in self._others:
+            self._reported.add(instance)
+            self._on_namesake(instance)
+
+
+def _name_in_use(name: str, instance: str) -> NameInUse:
+    return NameInUse(f"a node named {name!r} is on this bus already (instance {instance}); choose another name")

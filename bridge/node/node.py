@@ -18,7 +18,7 @@ from zenostat.bridge.node.branches import BranchManager
 from zenostat.bridge.node.episodes import EpisodeManager
 from zenostat.bridge.node.history import History
 from zenostat.bridge.node.manifest import node_manifest
-from zenostat.bridge.node.names import check_name_is_free, instances, watch_name
+from zenostat.bridge.node.names import NameWatch, check_name_is_free
 from zenostat.bridge.node.plant import PlantContext, PlantFactory, SlotPlacement
 from zenostat.bridge.node.recording import RecordingManager
 from zenostat.bridge.node.server import NodeServer, Observer
@@ -31,7 +31,7 @@ from zenostat.bridge.runtime.service_manager import reported
 from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
 from zenostat.bridge.transport.session import keys_folder, open_session
 from zenostat.topics import codec, keys
-from zenostat.topics.errors import RequestRejected, UnknownName, did_you_mean
+from zenostat.topics.errors import NameInUse, RequestRejected, UnknownName, did_you_mean
 from zenostat.topics.messages import Ack, EventKind, Manifest, Message, Query, RecordingStatus, Revoke
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ class Node:
         plant: the plant.
         server: the node on the bus.
         branches: its snapshots and branches.
-        namesake_warning: the latest warning that another node of the same name is on the bus; empty if none was.
+        namesake_warning: the latest warning that another node of the same name is on the bus; empty if none is.
 
     Raises (on entering):
         UsageError, SimulatorError, BusError: see `zenostat.topics.errors`; everything that was started is closed.
@@ -278,8 +278,19 @@ class Node:
         """Publish a warning; in any thread."""
         self.server.subscriptions.post(lambda: self.server.event(self.server.exchange.event(EventKind.WARNING, text)))
 
+    def _on_name_in_use(self, error: NameInUse) -> None:
+        """End with an error; in any thread."""
+
+        def end() -> None:
+            raise error
+
+        self.server.subscriptions.post_first(end)
+
     def _on_namesake(self, instance: str) -> None:
-        """Report another node of the same name; in any thread."""
+        """Report another node of the same name, or that there is none any more; in any thread."""
+        if not instance:
+            self.namesake_warning = ""
+            return
         self.namesake_warning = (
             f"another node named {self.settings.name!r} (instance {instance}) is on this bus, besides this one "
             f"(instance {self.instance}): subscribers receive the samples of both, and one of them answers a request; "
@@ -340,16 +351,19 @@ class Node:
         else:
             server.go_on(self._resumption.describe())
             server.revoke_again()
+        check_name_is_free(self.session, settings.name)  # the plant may have taken minutes to start
+        watch = NameWatch(self.session, settings.name, server.timer, self._on_name_in_use, self._on_namesake)
+        self._close.callback(watch.close)
         server.announce()
-        if any(instance < self.instance for instance in instances(self.session, self.settings.name)):
-            # Of two nodes that started at once, the lower id remains.
-            check_name_is_free(self.session, self.settings.name)
-        self._close.callback(watch_name(self.session, settings.name, self._on_namesake).undeclare)
 
     # Run and stop
 
     def serve(self) -> None:
-        """Serve until stopped by a request, a signal, or the end of the node's owner."""
+        """Serve until stopped by a request, a signal, or the end of the node's owner.
+
+        Raises:
+            NameInUse: another node of the name has started at the same time, and remains.
+        """
         gc.freeze()  # objects loaded so far stay; the garbage collector need not scan them
         with override_signals(self._on_signal, *TERMINATION_SIGNALS), reported(self.server.subscriptions.post):
             self.server.serve()

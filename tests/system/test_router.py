@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from time import sleep
 from typing import Any
 
 import pytest
@@ -21,6 +22,7 @@ from support.nodes import SMALL, NodeProgram, free_port, node_on_bus, until
 from support.run_cli import ZENOSTAT, run_program
 
 import zenostat
+from zenostat.bridge.node.names import SETTLE_S
 from zenostat.bridge.transport.certificates import add, make
 from zenostat.bridge.transport.session import Mode, open_session
 from zenostat.eplus_node.config import read_config
@@ -349,6 +351,7 @@ def test_router__nodes_of_one_name_report_each_other_once_their_buses_are_connec
             bus = stack.enter_context(zenostat.connect(endpoint, affinity="off"))
             events.append(stack.enter_context(events_of(bus, "room")))
             instances.append(bus.manifest("room").instance)
+        sleep(SETTLE_S)  # before that, nodes settle which of them remains
         stack.enter_context(open_session(connect=endpoints, mode=Mode.ROUTER))
         for received, own, other in zip(events, instances, reversed(instances), strict=True):
             warning = (
