@@ -138,6 +138,7 @@ class GuardedPlant:
         self._history: list[Floats] = []
         self._seed = 0
         self._last: Rows
+        self._last_step = 0  # of the district, with the latest samples
         self._error: Exception | None = None
         self._tried: Sequence[Floats] = ()
         self._trial_error: Exception | None = None
@@ -146,7 +147,7 @@ class GuardedPlant:
 
     def reset(self, seed: int) -> Rows:
         """Begin an episode; `EngineDied` if the plant cannot."""
-        self._history, self._seed, self._error = [], seed, None
+        self._history, self._seed, self._error, self._last_step = [], seed, None, 0
         self.is_available = self.is_tried = True
         try:
             self._last = self.plant.reset(seed)
@@ -160,7 +161,8 @@ class GuardedPlant:
 
     def adopt(self, state: PlantState) -> None:
         """Continue from a state that `capture` returned, to which the plant has returned."""
-        self._history, self._seed, self._last = [*state.history], state.seed, state.last
+        self._history, self._seed = [*state.history], state.seed
+        self._keep(state.last)
         self._error = None
         self.is_available = self.is_tried = True
 
@@ -185,11 +187,9 @@ class GuardedPlant:
         error, self._error = self._error, None
         if error is None:
             try:
-                self._last = self.plant.finish()
+                return self._keep(self.plant.finish())
             except LOST as lost:
                 error = lost
-            else:
-                return self._last
         return self._react(error)
 
     def begin_trial(self, commands: Sequence[Floats]) -> None:
@@ -259,15 +259,10 @@ class GuardedPlant:
         until_s, latest, failures = monotonic() + self._timeout_s, error, 0
         while not self._stop.is_set():
             try:
-                rows = self._replay()
+                return self._come_back(f"was lost, and is back at step {len(self._history)}: {error}")
             except LOST as again:
                 latest = again
                 failures += isinstance(again, SimulatorError)
-            else:
-                self._warnings.append(
-                    f"plant {self.name!r} was lost, and is back at step {len(self._history)}: {error}"
-                )
-                return rows
             if failures >= _MAX_FAILURES or monotonic() >= until_s:
                 raise EngineDied(
                     f"plant {self.name!r} is lost ({error}), and did not come back within {self._timeout_s:g} s or "
@@ -281,13 +276,9 @@ class GuardedPlant:
         timesteps = len(self._history[-1]) if self._history else 1
         if self.plant.is_reachable():
             try:
-                rows = self._replay()
+                return self._come_back(f"is back at step {len(self._history)}")
             except LOST as error:
                 self._warn_once(f"plant {self.name!r} cannot come back, and its last values hold: {error}")
-                return self._held(timesteps)
-            self.is_available, self._latest_warning = True, ""
-            self._warnings.append(f"plant {self.name!r} is back at step {len(self._history)}")
-            return rows
         return self._held(timesteps)
 
     def _warn_once(self, text: str) -> None:
@@ -296,16 +287,39 @@ class GuardedPlant:
             self._warnings.append(text)
         self._latest_warning = text
 
-    def _replay(self) -> Rows:
-        """Begin the episode again, with the same seed and commands up to the present step."""
-        rows = self.plant.reset(self._seed)
-        for commands in self._history:
+    def _come_back(self, text: str) -> Rows:
+        """Begin the episode again, with the same seed and commands up to the present step.
+
+        Args:
+            text: of the event, after the plant's name.
+        """
+        rows = repeated = self.plant.reset(self._seed)
+        for step, commands in enumerate(self._history, 1):
             if self._stop.is_set():
                 raise EngineDied("the district ends")
             self.plant.begin(commands)
             rows = self.plant.finish()
-        self._last = rows
+            if step == self._last_step:
+                repeated = rows
+        self._warnings.append(f"plant {self.name!r} {text}")
+        if not _is_equal(repeated, self._last):
+            self._warnings.append(
+                f"plant {self.name!r} has other values in step {self._last_step} than before it was lost: the district "
+                "repeats only its own commands, and not those of others on the plant's bus"
+            )
+        self.is_available, self._latest_warning = True, ""
+        return self._keep(rows)
+
+    def _keep(self, rows: Rows) -> Rows:
+        """Keep the samples of the present step, and return them."""
+        self._last, self._last_step = rows, len(self._history)
         return rows
+
+
+def _is_equal(rows: Rows, others: Rows) -> bool:
+    """Return whether the last samples are equal."""
+    pairs = ((rows.values, others.values), (rows.effective, others.effective))
+    return all(np.array_equal(one[-1], other[-1], equal_nan=True) for one, other in pairs)
 
 
 def _undefined(rows: Rows) -> Rows:
@@ -344,11 +358,9 @@ class RepeatedPlant(GuardedPlant):
         if self.is_available:
             return super().finish()
         try:
-            rows = self._replay()
+            return self._come_back(f"is back at step {len(self._history)}")
         except LOST as error:
             raise self._failure(error) from None
-        self.is_available = True
-        return rows
 
     def begin_trial(self, commands: Sequence[Floats]) -> None:
         """Begin to try timesteps, unless the last values are to hold."""

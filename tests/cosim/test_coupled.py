@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.coupled_plants import FakeCoupled, district_file, free, manifest_of, orchestrated
 
-from zenostat.cosim.coupled import GuardedPlant, Rows
+from zenostat.cosim.coupled import Floats, GuardedPlant, Rows
 from zenostat.cosim.file import OnLost
 from zenostat.cosim.orchestrator import Orchestrator
 from zenostat.topics.errors import EngineDied, NodeLost, PlantFailed
@@ -103,6 +103,46 @@ def test_continue__last_values_hold_until_it_is_back(folder: Path) -> None:
     assert guarded["b"].is_available
     assert len(plants["b"].commands) == 7  # brought to the present step with the commands that it had
     assert orchestrator.drain_warnings() == ["plant 'b' is back at step 7"]
+
+
+class Commanded(FakeCoupled):
+    """Somebody else commands more on its bus, until its node begins again."""
+
+    others = 0.0
+
+    def reset(self, seed: int) -> Rows:
+        self.others = 0.0
+        return super().reset(seed)
+
+    def begin(self, commands: Floats) -> None:
+        super().begin(commands + self.others)
+
+
+@pytest.mark.parametrize("on_lost", [OnLost.WAIT, OnLost.GO_ON])
+def test_lost__plant_that_comes_back_without_the_commands_of_others_is_an_event(on_lost: OnLost) -> None:
+    """Step 2 has the command of somebody else, and its repetition has not."""
+    plant = Commanded(manifest_of({"x": "W"}, {"u": ("W", None, None)}), mixed, first=[1.0])
+
+    def come_back(_: object) -> None:
+        plant.is_back = True
+
+    guarded = GuardedPlant("a", plant, on_lost, timeout_s=60.0, stop=threading.Event(), retry=come_back)
+    texts = {}
+    for others in (0.0, 5.0):
+        plant.fails_at, plant.is_back = None, False
+        guarded.reset(7)
+        plant.fails_at = 2
+        for step in range(1, 5):
+            plant.others = others if step == 2 else 0.0
+            guarded.begin(np.array([[2.0]]))
+            guarded.finish()
+            plant.is_back = plant.is_back or step == 3
+        texts[others] = guarded.drain_warnings()
+        assert guarded.is_available
+    assert texts[5.0][:-1] == texts[0.0]
+    assert texts[5.0][-1].startswith(
+        "plant 'a' has other values in step 2 than before it was lost: the district repeats"
+    )
 
 
 LOOP = """plants: {a: {plant: "p.py:P"}, b: {plant: "p.py:P"}}
