@@ -23,7 +23,6 @@ from zenostat.topics.errors import BusError, EpisodeChanged, NodeLost, RequestRe
 from zenostat.topics.messages import CommandOp, ControllerState, CreateBranch, Manifest, Mode
 
 _SET, _RELINQUISH = int(CommandOp.SET), int(CommandOp.RELINQUISH)
-_CONTROLLER = "orchestrator"
 
 
 class NodePlant:
@@ -31,18 +30,21 @@ class NodePlant:
 
     Args:
         node: name of the node.
+        controller: name of the orchestrator on its bus.
 
     Attributes:
         manifest: its manifest at the start, which a node that replaces it has to fit.
     """
 
-    def __init__(self, node: str) -> None:
-        self._node = node
+    def __init__(self, node: str, controller: str = "orchestrator") -> None:
+        self._node, self._controller = node, controller
         self._bus: Bus | None = None
         self._link: ControllerLink | None = None
         self._accepted: Manifest | None = None  # of the link, compared with that of the plant
         self._pending: Floats | None = None
         self._sample: SampleView | None = None
+        self._ordered = np.empty(0)  # the latest commands
+        self._warnings: list[str] = []
         self._trial: PendingTrial | None = None
         self._close_bus = ExitStack()
         self.manifest: Manifest
@@ -74,7 +76,7 @@ class NodePlant:
     def link(self) -> ControllerLink:
         """The orchestrator's claim on all actuators; `NodeLost` if another node has replaced the plant's."""
         if self._link is None:
-            self._link = self.bus.controller(self._node, name=_CONTROLLER)
+            self._link = self.bus.controller(self._node, name=self._controller)
         link = self._link
         if link.manifest is not self._accepted:
             if difference := _difference(link.manifest, self.manifest):
@@ -122,6 +124,7 @@ class NodePlant:
         return self.link.receive()
 
     def _send(self, row: Floats) -> None:
+        self._ordered = row
         values, operations = _command(row)
         self.link.send(values, operations)
 
@@ -194,8 +197,9 @@ class NodePlant:
         return False
 
     def drain_warnings(self) -> list[str]:
-        """Return no texts."""
-        return []
+        """Return texts about the plant since the last call."""
+        warnings, self._warnings = self._warnings, []
+        return warnings
 
     def interrupt(self) -> None:
         """Close the connection, so that pending calls raise; thread-safe."""
@@ -315,10 +319,12 @@ class FoundPlant(NodePlant):
         node: name of the node.
         endpoint: of its bus.
         keys: folder of the keys for it.
+        controller: name of the orchestrator on its bus.
     """
 
-    def __init__(self, node: str, endpoint: str, keys: Any) -> None:
-        super().__init__(node)
+    def __init__(self, node: str, endpoint: str, keys: Any, controller: str = "orchestrator") -> None:
+        super().__init__(node, controller)
+        self._overridden = frozenset[tuple[str, str]]()  # actuators of the latest sample, and who commands them
         self._endpoint, self._keys = endpoint, keys
         self._threads = ThreadPoolExecutor(1)
         self._search: Future[bool] | None = None
@@ -362,7 +368,24 @@ class FoundPlant(NodePlant):
                 f"node {self._node!r} simulated timestep {sample.step} without the district's command, which had not "
                 f"arrived by its deadline; its policy is {self.link.manifest.policy}"
             )
+        self._warn_of_others(sample)
         return sample
+
+    def _warn_of_others(self, sample: SampleView) -> None:
+        """Add a warning for each actuator that somebody begins to command in place of the district."""
+        present = dict[tuple[str, str], tuple[float, float]]()
+        if not {*sample.message.sources} <= {"", self.link.name}:
+            values = zip(sample.commanded.tolist(), self._ordered.tolist(), strict=True)
+            for (name, source), pair in zip(sample.value_source.items(), values, strict=True):
+                if source not in ("", self.link.name) and not np.isnan(pair[1]):
+                    present[name, source] = pair
+        self._warnings += [
+            f"{source} commands {name!r} of node {self._node!r} at a higher priority: its value is {value:g} in "
+            f"timestep {sample.step} and not the district's {ordered:g}"
+            for (name, source), (value, ordered) in present.items()
+            if (name, source) not in self._overridden
+        ]
+        self._overridden = frozenset(present)
 
     def _has_answered(self) -> bool:
         """Return whether the node had the latest command in time; else another required controller's was missing."""
@@ -370,8 +393,9 @@ class FoundPlant(NodePlant):
         return (self.link.name, ControllerState.CONNECTED) in [(c.controller, c.state) for c in status.controllers]
 
     def _reset(self, seed: int) -> Rows:
+        self._overridden = frozenset()
         if self.link.mode is not Mode.LOCKSTEP:
-            self.bus.pace(self._node, mode=Mode.LOCKSTEP, source=_CONTROLLER)
+            self.bus.pace(self._node, mode=Mode.LOCKSTEP, source=self._controller)
         return super()._reset(seed)
 
 

@@ -482,7 +482,7 @@ class Orchestrator:
                 present[f"{target.plant}.{target.actuator.name}"] = float(others[-1])
         self._warnings += [
             f"actuator {name!r} has the value {value:g} in step {self._step} and not that of its connection, which the "
-            "balance has: somebody commands it at a higher priority"
+            "balance has"
             for name, value in present.items()
             if name not in self._overridden
         ]

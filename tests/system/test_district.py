@@ -27,7 +27,7 @@ from zenostat.cosim.verify_recording import verify_district
 from zenostat.evaluation import connection_balances
 from zenostat.recording import load
 from zenostat.topics import codec
-from zenostat.topics.errors import EngineDied, InvalidConfig, InvalidRecording
+from zenostat.topics.errors import EngineDied, InvalidConfig, InvalidRecording, RequestRejected
 from zenostat.topics.messages import Event, EventKind, Flag, Mode, Reset, State
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -449,6 +449,37 @@ def test_district__plant_on_a_bus_that_misses_another_controller_is_not_lost(scr
             plant.begin(np.array([[5.0, -4.0]]))
             plant.finish()
         assert bus.latest("home").flags[0] & Flag.FALLBACK
+
+
+def test_district__commands_of_others_on_a_plants_bus_are_an_event(scratch: Path) -> None:
+    """An event names who has begun to command in place of the district; not where the district commands nothing."""
+    (scratch / "plants.py").write_text(LONG)
+    with (
+        NodeProgram(scratch / "home", plant=f"{scratch}/plants.py:House", name="home") as home,
+        closing(FoundPlant("home", home.endpoint, None, "district-pair")) as plant,
+        zenostat.connect(home.endpoint, affinity="off") as bus,
+    ):
+        plant.reset(3)
+        texts = {}
+        for step in range(1, 6):
+            if step == 2:
+                bus.write("home", "supply", 7.0, source="ada")
+                bus.write("home", "outdoor", 1.0, source="ada")
+            if step == 4:
+                bus.write("home", "supply", None, source="ada")
+            plant.begin(np.array([[5.0, np.nan if step < 5 else -4.0]]))
+            assert plant.finish().effective[-1, 0] == (7.0 if step in (2, 3) else 5.0)
+            texts[step] = plant.drain_warnings()
+        expected = "ada commands {} of node 'home' at a higher priority: its value is {} and not the district's {}"
+        assert texts == {
+            1: [],
+            2: [expected.format("'supply'", "7 in timestep 2", 5)],
+            3: [],
+            4: [],
+            5: [expected.format("'outdoor'", "1 in timestep 5", -4)],
+        }
+        with pytest.raises(RequestRejected, match=r"is claimed by 'district-pair-\d+-\d+'"):
+            bus.controller("home", name="district-other")
 
 
 @pytest.mark.slow
