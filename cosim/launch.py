@@ -123,7 +123,7 @@ class PlantSet:
         if spec.node is not None:
             keys = None if spec.keys is None else resolve(self.file, spec.keys)
             assert spec.connect is not None  # as `check_file` has checked
-            return FoundPlant(spec.node, spec.connect, keys)
+            return FoundPlant(spec.node, spec.connect, keys, f"district-{self.file.spec.name}"[:64])
         plant = StartedPlant(f"{self.file.spec.name}.{name}", settings, self._on_process)
         if self.stop.is_set():
             plant.close()
