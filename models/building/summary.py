@@ -20,7 +20,7 @@ from zenostat.models.input_format.source_model import ModelObjects, ObjectsOfTyp
 from zenostat.topics.cache import cached_bytes, digest
 from zenostat.topics.plurals import counted
 
-_FORMAT = "1"  # raise it when the summary of the same file changes
+_FORMAT = "2"  # raise it when the summary of the same file changes
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,6 +191,10 @@ _SYSTEMS = (
     ("HeatPump:", "plant heat pump"),
     ("Boiler", "boiler"),
     ("DistrictHeating", "district heating"),
+    ("GroundHeatExchanger:", "ground heat exchanger"),
+    ("ThermalStorage:Ice:", "ice storage"),
+    ("ThermalStorage:ChilledWater:", "chilled water tank"),
+    ("Dehumidifier:Desiccant:", "desiccant dehumidifier"),
 )
 
 
@@ -302,10 +306,12 @@ def _fuels(objects: ModelObjects) -> tuple[str, ...]:
             own = {field: text for field, text in fields.items() if _FUEL_FIELD.fullmatch(field)}
             if kind == "ZoneHVAC:IdealLoadsAirSystem":
                 own = _IDEAL_LOADS | own
+            elif kind == "Generator:FuelSupply":  # its fuel type is the way in which the composition is given
+                own = {"": "NaturalGas"}
             elif not own and kind in _FUEL_OF:
                 own = {"": _FUEL_OF[kind]}
             fuels |= {_fuel_words(text) for text in own.values()}
-    return tuple(sorted(fuels - {"none"}, key=lambda fuel: (fuel != "electricity", fuel)))
+    return tuple(sorted(fuels - {"none", "water"}, key=lambda fuel: (fuel != "electricity", fuel)))
 
 
 def _fuel_words(fuel: str) -> str:

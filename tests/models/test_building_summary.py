@@ -147,6 +147,16 @@ def model(**kinds: dict[str, dict[str, Any]]) -> Building:
         ),
         (
             {
+                "Generator__FuelSupply": {"f": {"fuel_type": "GaseousConstituents"}},
+                "Exterior__WaterEquipment": {"w": {"fuel_use_type": "Water"}},
+                "GroundHeatExchanger__Vertical__Array": {"a": {}},
+                "ThermalStorage__Ice__Simple": {"i": {}},
+            },
+            "ground heat exchanger, ice storage",
+            ("natural gas",),  # a fuel cell and a micro-CHP have no other meter
+        ),
+        (
+            {
                 "ZoneHVAC__PackagedTerminalAirConditioner": {
                     "p": {"cooling_coil_name": "System", "heating_coil_name": "HEAT"}
                 },
