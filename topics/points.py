@@ -95,9 +95,11 @@ def describe_violation(point: BoundedPoint, value: object) -> str:
 
     A value that differs from a bound after its first six digits has all digits, as have the bounds then.
     """
+    if not isinstance(value, Real):
+        return f"{point.name} = {value!r}; a number expected"
     low, high = bounds(point)
-    number, described = f"{value:g}" if isinstance(value, Real) else repr(value), describe_bounds(point)
-    if isinstance(value, Real) and number in (f"{low:g}", f"{high:g}"):
+    number, described = f"{value:g}", describe_bounds(point)
+    if number in (f"{low:g}", f"{high:g}"):
         number, first, last = (repr(float(each)).removesuffix(".0") for each in (value, low, high))
         described = with_unit(f"{first} to {last}", point.unit)
     return f"{point.name} = {number}; its bounds are {described}"

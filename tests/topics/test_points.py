@@ -111,11 +111,14 @@ def test_describe_bounds__has_both_bounds_and_the_unit(limits: Action, text: str
     assert describe_bounds(limits) == text
 
 
-@pytest.mark.parametrize(
-    ("value", "text"), [(40, "40"), (np.float64(22.75), "22.75"), (nan, "nan"), ("warm", "'warm'")]
-)
+@pytest.mark.parametrize(("value", "text"), [(40, "40"), (np.float64(22.75), "22.75"), (nan, "nan")])
 def test_describe_violation__has_name_value_and_bounds(value: object, text: str) -> None:
     assert describe_violation(point(15.0, 22.5), value) == f"heating = {text}; its bounds are 15 to 22.5 degC"
+
+
+@pytest.mark.parametrize(("value", "text"), [("20", "'20'"), (np.array(20.0), "array(20.)")])
+def test_describe_violation__of_what_is_no_number_has_no_bounds(value: object, text: str) -> None:
+    assert describe_violation(point(15.0, 22.5), value) == f"heating = {text}; a number expected"
 
 
 @pytest.mark.parametrize(
