@@ -7,6 +7,7 @@ uses msgpack) is validated like any other.
 from __future__ import annotations
 
 import itertools
+import re
 import reprlib
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
@@ -65,6 +66,8 @@ _RULES = {
     **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "a mapping expected"),
 }
 """Rules whose text by pydantic names classes of Python."""
+_MEMBER = re.compile(r"<\w+\.\w+: ('[^']*')>")
+"""A member of an enumeration in pydantic's text, with its value."""
 FLOAT = np.dtype("<f8")
 INDEX = np.dtype("<u2")
 _MEDIA = "application/msgpack"
@@ -202,7 +205,7 @@ def describe_validation_errors(error: ValidationError, known: Iterable[str] = ()
     for detail in errors[:_MAX_ERRORS]:
         loc = [str(part) for part in detail["loc"] if not str(part).startswith("@")]
         path = _cut(".".join(loc))
-        rule = _RULES.get(detail["type"], detail["msg"].removeprefix("Value error, "))
+        rule = _RULES.get(detail["type"], _MEMBER.sub(r"\1", detail["msg"].removeprefix("Value error, ")))
         if not path:  # a rule on several fields
             is_fields = isinstance(detail["input"], (dict, Message))
             texts.append(rule if is_fields else f"{rule}, got {_short(detail['input'])}")

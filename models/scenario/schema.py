@@ -127,7 +127,7 @@ def _from_list(spec_type: type[_Part]) -> BeforeValidator:
         values = list(value)
         minimum = sum(field.is_required() for field in spec_type.model_fields.values())
         if not minimum <= len(values) <= len(names):
-            raise ValueError(f"expected {minimum} to {len(names)} items ({', '.join(names)}), got {values}")
+            raise ValueError(f"expected {minimum} to {len(names)} items ({', '.join(names)})")
         return dict(zip(names, values, strict=False))
 
     return BeforeValidator(read, json_schema_input_type=spec_type | list[str | float | None])

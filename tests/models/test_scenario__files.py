@@ -373,6 +373,15 @@ def test_scenario__rows_of_discrete_choices_without_their_actions_are_refused_on
     assert "discrete: a number of steps, or for each discrete action" in message
 
 
+def test_scenario__value_of_an_enumeration_is_refused_with_its_values(load: Load) -> None:
+    assert refused(load, "aggregation: max").endswith("aggregation: Input should be 'instant' or 'mean', got 'max'")
+
+
+def test_scenario__list_of_another_length_is_quoted_once(load: Load) -> None:
+    message = refused(load, "sensors: {a: [Zone Air Temperature]}")
+    assert message.endswith("2 to 4 items (variable, key, aggregation, lead_h), got ['Zone Air Temperature']")
+
+
 @pytest.mark.parametrize(("path", "text"), WRONG.items(), ids=WRONG)
 def test_scenario__what_cannot_be_is_named_with_its_path(load: Load, path: str, text: str) -> None:
     assert f"{path}:" in refused(load, text)
