@@ -47,6 +47,8 @@ def read_config(settings: Mapping[str, Any]) -> NodeConfig:
         raise InvalidConfig("\n".join(unknown))
     if settings.get("keep_last") is not None and settings.get("output_dir") is None:
         raise InvalidConfig("keep_last needs output_dir, the folder in which output files are kept")
+    if settings.get("variant") is not None and settings.get("config") is None:
+        raise InvalidConfig("variant needs config, the Sinergym configuration that it is a variant of")
     return validated(NodeConfig, {"scenario_fields": scenario_fields, **node_fields})
 
 

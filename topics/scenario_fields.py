@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
+from datetime import date
 from pathlib import Path
 from typing import Annotated, Any, TypedDict, TypeVar, get_type_hints
 
@@ -56,8 +57,10 @@ class ScenarioArguments(TypedDict, total=False):
             "by default a set of the model's actuators; empty: baseline control only."
         ),
     ]
-    begin: Annotated[str | None, Doc("First day, MM-DD or YYYY-MM-DD; by default that of the model's run period.")]
-    end: Annotated[str | None, Doc("Last day, MM-DD or YYYY-MM-DD; by default that of the model's run period.")]
+    begin: Annotated[
+        str | date | None, Doc("First day, MM-DD or YYYY-MM-DD; by default that of the model's run period.")
+    ]
+    end: Annotated[str | date | None, Doc("Last day, MM-DD or YYYY-MM-DD; by default that of the model's run period.")]
     steps_per_hour: Annotated[
         int | None, Doc("Timesteps per hour, a divisor of 60 from 1 to 60; by default as in the model.")
     ]

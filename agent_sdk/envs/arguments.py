@@ -18,6 +18,13 @@ FROM_SCENARIO_IF_ANY = "scenario, if it has one"
 """Values of `reward` that stand for that of the scenario; without one, the first one warns of a plant's."""
 
 
+_ELSEWHERE = {
+    "seed": "pass it to reset(seed=…)",
+    "wrappers": "it is a field of scenario files; zenostat.wrappers.apply_wrappers(env, […]) applies such a list",
+}
+"""Names that users pass as arguments of an environment, and where they belong."""
+
+
 def is_of_scenario(reward: AnyReward | None) -> bool:
     """Return whether a value of `reward` stands for that of the scenario."""
     return reward in (FROM_SCENARIO, FROM_SCENARIO_IF_ANY)
@@ -36,7 +43,11 @@ def check_arguments(arguments: Mapping[str, Any], env_type: Callable[..., Any]) 
             "begin= and end=, or use gym.make, or gym.make_vec with vectorization_mode='sync' or 'async'"
         )
     if unknown := [name for name in arguments if name not in known]:
-        errors = [f"got an unexpected keyword argument {name!r}; {did_you_mean(name, known)}" for name in unknown]
+        known = [name for name in known if name != "link"]  # which is for tests
+        errors = [
+            f"got an unexpected keyword argument {name!r}; {_ELSEWHERE.get(name) or did_you_mean(name, known)}"
+            for name in unknown
+        ]
         raise UnknownArgument("\n".join(errors))
 
 

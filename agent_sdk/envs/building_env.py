@@ -30,6 +30,7 @@ from zenostat.agent_sdk.envs.rendering import EpisodeRenderer
 from zenostat.agent_sdk.envs.snapshot import Snapshot, checked, from_options, take
 from zenostat.agent_sdk.envs.time_features import time_features
 from zenostat.agent_sdk.envs.trial_actions import trial_of_actions
+from zenostat.agent_sdk.envs.vector_env import check_count
 from zenostat.agent_sdk.envs.vector_infos import Infos
 from zenostat.agent_sdk.rewards import AnyReward, Reward
 from zenostat.bridge.client.controller_link import ControllerLink
@@ -269,8 +270,8 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         """Simulate sequences of actions in branches, and return the rewards, shape (sequences, timesteps).
 
         Args:
-            actions: Elements of the action space, shape (sequences, timesteps, *action shape). A sequence ends with its
-                episode: further rewards are 0.
+            actions: Elements of the action space, shape (sequences, timesteps, *action shape), 1 to 256 sequences. A
+                sequence ends with its episode: further rewards are 0.
             snapshot: As for `branch`.
             forecast_error: As for `branch`.
 
@@ -278,7 +279,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
             InvalidAction: Wrong shape, or an action that `step` would reject.
             EpisodeChanged, RequestRejected, ForkFailed, SimulatorError: As for `branch` and `step`.
         """
-        count = len(np.atleast_1d(as_array(actions, None)))
+        count = check_count(len(np.atleast_1d(as_array(actions, None))), "sequences")
         with self.branch(slots=count, snapshot=snapshot, forecast_error=forecast_error) as branches:
             return branches.plan(actions)
 

@@ -8,6 +8,7 @@ import weakref
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import Any, NoReturn, Protocol
 
@@ -139,7 +140,6 @@ class NodeConnection:
         self._adopted: Manifest | None = None
         self.local_node: LocalNode | None = None
         self._link, self._slots = link, slots
-        self._keys = None if keys is None else Path(keys)
         self._bus: Bus | None = None
         self._target: _Target
         with ExitStack() as undo:
@@ -149,6 +149,9 @@ class NodeConnection:
             if affinity not in list(Affinity):
                 raise InvalidConfig(f"affinity {affinity!r}; there are: {', '.join(Affinity)}")
             build(Claim, controller=NAME, priority=priority)
+            if not isinstance(keys, str | PathLike | None):
+                raise InvalidConfig(f"keys = {keys!r}; a folder, or a certificate in it, expected")
+            self._keys = None if keys is None else Path(keys)
             if keys is not None and connect is None:
                 raise InvalidConfig("keys= needs connect='tls/HOST:PORT'; a local node is not on a network")
             if link is not None:

@@ -32,7 +32,7 @@ from zenostat.agent_sdk.envs.vector_sample import VectorSample
 from zenostat.agent_sdk.rewards import AnyReward
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.runtime.affinity import Affinity
-from zenostat.topics.errors import EpisodeChanged, InvalidConfig
+from zenostat.topics.errors import EpisodeChanged, InvalidConfig, did_you_mean
 from zenostat.topics.messages import WeatherSeries
 from zenostat.topics.points import observed_indices
 from zenostat.topics.scenario_fields import NodeArguments, expand_arguments
@@ -360,7 +360,7 @@ class BuildingVectorEnv(SlotAccess, ConnectedEnv, VectorEnv[Observations, Any, N
 def check_count(count: int, name: str = "num_envs") -> int:
     """Return a number of slots that is valid; `InvalidConfig` for any other."""
     if not isinstance(count, int | np.integer) or not 1 <= count <= MAX_SLOTS:
-        raise InvalidConfig(f"{name} = {count!r}; a number from 1 to {MAX_SLOTS} expected")
+        raise InvalidConfig(f"{name} = {count!r}; a whole number from 1 to {MAX_SLOTS} expected")
     return int(count)
 
 
@@ -377,5 +377,5 @@ def check_mode(mode: AutoresetMode | str) -> AutoresetMode:
     try:
         return AutoresetMode(mode)
     except ValueError:
-        modes = ", ".join(mode.value for mode in AutoresetMode)
-        raise InvalidConfig(f"autoreset_mode {mode!r}; there are: {modes}") from None
+        known = did_you_mean(str(mode).replace("_", ""), [mode.value for mode in AutoresetMode])
+        raise InvalidConfig(f"autoreset_mode {mode!r}; {known}") from None

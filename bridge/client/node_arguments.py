@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from datetime import date, datetime, time
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,8 @@ def for_node(arguments: Mapping[str, Any], name: str, slots: int = 1) -> dict[st
     """Return the settings of a node for a user's arguments, of which none is None.
 
     Raises:
-        InvalidConfig: No simulation or several are named; or a point is not a tuple of names.
+        InvalidConfig: No simulation or several are named; a point is not a tuple of names; a path is empty; or a value
+            cannot be sent to the node's process.
     """
     settings = {key: _to_json(value) for key, value in arguments.items()}
     for key in ("scenario", "file"):
@@ -26,12 +28,16 @@ def for_node(arguments: Mapping[str, Any], name: str, slots: int = 1) -> dict[st
             raise InvalidConfig(f"{key} = {arguments[key]!r}; the name of a scenario or the path of its file expected")
     _check_sources(settings)
     _check_points(settings, arguments)
-    _check_plant_arguments(settings.get("plant_arguments"))
+    _check_serializable(settings)
     if "file" in settings:
         settings["scenario"] = settings.pop("file")
     # Relative paths refer to the caller's working directory, which may differ from the node's.
     files = ("alarms", "config", "district", "faults", "output_dir", "record")
     for key in (*files, "building", "scenario", "weather"):
+        if settings.get(key) == "":
+            raise InvalidConfig(
+                f"{key} is empty; leave it out, or name a {'file' if key != 'output_dir' else 'folder'}"
+            )
         if key in settings:
             settings[key] = _absolute(settings[key], always=key in files)
     if "plant_arguments" in settings and not PLANT_SETTINGS & settings.keys():
@@ -62,14 +68,17 @@ def _check_points(settings: Mapping[str, Any], arguments: Mapping[str, Any]) -> 
                 raise InvalidConfig(f"{key} {point!r}: a tuple of EnergyPlus's names expected, got {spec!r}")
 
 
-def _check_plant_arguments(plant_arguments: Any) -> None:
-    for name, value in plant_arguments.items() if isinstance(plant_arguments, dict) else ():
+def _check_serializable(settings: Mapping[str, Any]) -> None:
+    plant = settings.get("plant_arguments")
+    values = {f"plant_arguments: {name}": value for name, value in plant.items()} if isinstance(plant, dict) else {}
+    for name, value in {**values, **settings}.items():
         try:
             json.dumps(value)
         except (TypeError, ValueError):
+            process = "plant" if name in values else "node"
             raise InvalidConfig(
-                f"plant_arguments: {name} = {value!r} cannot be sent to the plant's process; only numbers, texts, "
-                "lists and mappings can"
+                f"{name} = {value!r} cannot be sent to the {process}'s process; only numbers, texts, lists and "
+                "mappings can"
             ) from None
 
 
@@ -87,6 +96,10 @@ def _to_json(value: Any) -> Any:
         return [_to_json(part) for part in value]
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
+    if isinstance(value, datetime) and value.time() == time(0):  # as pandas has dates
+        value = value.date()
+    if isinstance(value, date):
+        return value.isoformat()
     return str(value) if isinstance(value, Path) else value
 
 

@@ -1,6 +1,7 @@
 """Arguments of an environment, as the settings of a node: no node is started here."""
 
 import json
+from datetime import date, datetime
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,12 @@ import pytest
 
 import zenostat  # noqa: F401  # registers the environments
 from zenostat.agent_sdk.envs.arguments import FROM_SCENARIO, check_agent_settings, fields_of_file
+from zenostat.agent_sdk.envs.vector_env import check_count, check_mode
 from zenostat.bridge.client.node_arguments import for_node
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.eplus_node.config import read_config
 from zenostat.models.catalog import find_building
-from zenostat.topics.errors import InvalidConfig, UsageError
+from zenostat.topics.errors import InvalidConfig, UnknownArgument, UsageError
 from zenostat.topics.messages import Aggregation
 from zenostat.topics.scenario_fields import NODE_ARGUMENTS
 
@@ -167,6 +169,64 @@ def test_read_config__number_of_kept_folders_needs_a_folder_to_keep_them_in(tmp_
     with pytest.raises(InvalidConfig, match="keep_last needs output_dir, the folder in which output files are kept"):
         read_config({**BASE, "keep_last": 1})
     assert read_config({**BASE, "keep_last": 1, "output_dir": tmp_path}).keep_last == 1
+
+
+def test_read_config__variant_needs_the_configuration_that_it_is_of() -> None:
+    with pytest.raises(InvalidConfig, match="variant needs config, the Sinergym configuration"):
+        read_config({**BASE, "variant": "hot-discrete"})
+
+
+# Values of other classes
+
+
+@pytest.mark.parametrize(
+    "day", [date(2017, 7, 3), datetime(2017, 7, 3), "2017-07-03"], ids=lambda day: type(day).__name__
+)
+def test_env__days_may_be_dates(day: Any) -> None:
+    assert for_node({**BASE, "begin": day, "end": day}, "b") == {
+        **BASE, "begin": "2017-07-03", "end": "2017-07-03", "name": "b",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        ({"weather": {"USA_CO_Denver"}}, r"weather = {'USA_CO_Denver'} cannot be sent to the node's process"),
+        ({"output_dir": ""}, "output_dir is empty; leave it out, or name a folder"),
+        ({"record": ""}, "record is empty; leave it out, or name a file"),
+    ],
+    ids=["set", "folder", "file"],
+)
+def test_env__what_cannot_be_sent_is_refused_by_its_name(wrong: dict[str, Any], text: str) -> None:
+    with pytest.raises(InvalidConfig, match=text):
+        for_node({**BASE, **wrong}, "b")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "error", "text"),
+    [
+        ({"keys": 3}, InvalidConfig, "keys = 3; a folder, or a certificate in it, expected"),
+        ({"seed": 3}, UnknownArgument, r"argument 'seed'; pass it to reset\(seed=…\)"),
+        ({"wrappers": []}, UnknownArgument, "argument 'wrappers'; it is a field of scenario files; .*apply_wrappers"),
+        ({"lin": 3}, UnknownArgument, r"argument 'lin'; (?!.*'link')"),
+    ],
+    ids=lambda wrong: next(iter(wrong)) if isinstance(wrong, dict) else "",
+)
+def test_env__arguments_that_cannot_be(wrong: dict[str, Any], error: type[UsageError], text: str) -> None:
+    with pytest.raises(error, match=text):
+        gym.make("zenostat/Building-v1", **BASE, **wrong)
+
+
+@pytest.mark.parametrize(("mode", "text"), [("NEXT_STEP", "did you mean 'NextStep'"), ("next_step", "'NextStep'")])
+def test_check_mode__suggests_similar_modes(mode: str, text: str) -> None:
+    with pytest.raises(InvalidConfig, match=text):
+        check_mode(mode)
+
+
+@pytest.mark.parametrize("count", [0, 257, 2.0, "2"])
+def test_check_count__names_the_whole_numbers(count: Any) -> None:
+    with pytest.raises(InvalidConfig, match=f"num_envs = {count!r}; a whole number from 1 to 256 expected"):
+        check_count(count)
 
 
 # What to simulate

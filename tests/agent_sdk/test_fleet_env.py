@@ -341,7 +341,7 @@ def test_fleet_env__no_node_left_is_an_error(victim: Restartable) -> None:
         ({"connect": ["tcp/a:1", "tcp/b:1"], "node": "x", "on_error": "ignore"}, "there are: truncate, raise"),
         ({"connect": ["tcp/a:1", "tcp/b:1"], "node": "x", "render_mode": "rerun"}, "zenostat monitor"),
         ({"connect": ["tcp/a:1", "tcp/b:1"], "node": "x", "building": "y"}, "building: nodes .* own settings"),
-        ({"connect": ["tcp/a:1", "tcp/b:1"], "node": "x", "autoreset_mode": "Never"}, "there are: NextStep"),
+        ({"connect": ["tcp/a:1", "tcp/b:1"], "node": "x", "autoreset_mode": "Never"}, "there are: 'NextStep'"),
         ({"connect": ["tcp/a:1", "tcp/b:1"], "node": "x", "priority": 0}, "priority"),
     ],
 )

@@ -364,9 +364,9 @@ def test_vector_env__resets_that_cannot_be(arguments: dict[str, Any], words: str
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"num_envs": 0}, "num_envs = 0; a number from 1 to 256"),
-        ({"num_envs": 257}, "num_envs = 257; a number from 1 to 256"),
-        ({"autoreset_mode": "Never"}, "autoreset_mode 'Never'; there are: NextStep, SameStep, Disabled"),
+        ({"num_envs": 0}, "num_envs = 0; a whole number from 1 to 256"),
+        ({"num_envs": 257}, "num_envs = 257; a whole number from 1 to 256"),
+        ({"autoreset_mode": "Never"}, "autoreset_mode 'Never'; there are: 'NextStep', 'SameStep', 'Disabled'"),
         ({"bilding": "ref-small-office"}, "unexpected keyword argument 'bilding'; did you mean 'building'"),
         ({"render_mode": "human"}, "render_mode 'human'; there are: rgb_array, rerun"),
         ({"connect": "tcp/127.0.0.1:1"}, "needs the node's name"),
