@@ -6,7 +6,7 @@ import gc
 import os
 import signal
 import sys
-from typing import NoReturn
+from typing import Any, NoReturn
 
 
 def main() -> NoReturn:
@@ -14,13 +14,17 @@ def main() -> NoReturn:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, _: os._exit(128 + number))  # nothing to clean up yet
     gc.set_threshold(100_000, 20, 100)  # what is imported stays; scanning it again and again took a tenth of a start
+    from zenostat.bridge.runtime.signals import Terminated
     from zenostat.cli.commands import app
     from zenostat.cli.failures import print_failure
+
+    def terminate(number: int, _: Any) -> NoReturn:
+        raise Terminated(128 + number)  # lets `with` blocks clean up
 
     code: int | str | None = 0
     try:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # lets `with` blocks clean up
+        signal.signal(signal.SIGTERM, terminate)
         app()
     except KeyboardInterrupt:
         code = 130

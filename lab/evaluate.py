@@ -30,6 +30,7 @@ from zenostat.agent_sdk.wrappers.names import layers
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.faults import read_plan
+from zenostat.bridge.runtime.user_code import refuse_exit
 from zenostat.lab.scenario_context import context_wrappers, within_context
 from zenostat.lab.scenario_env import add_monitoring
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
@@ -86,6 +87,9 @@ def run_episode(
         recorder: records the samples and the terms of the rewards.
         prices: as for `evaluate`.
         emissions: as for `evaluate`.
+
+    Raises:
+        InvalidConfig: the controller ended the program, as argparse does.
     """
     observation, info = env.reset(seed=seed)
     building: Any = env.unwrapped
@@ -101,7 +105,7 @@ def run_episode(
             progress(building.sample.step)
 
     weather, terminated, is_over = info.get("weather", ""), False, False
-    with _recorded(env, record) as recorded:
+    with _recorded(env, record) as recorded, refuse_exit("the controller"):
         while not is_over:
             observation, _, terminated, truncated, _ = recorded.step(act(observation))
             is_over = terminated or truncated

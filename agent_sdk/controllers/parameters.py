@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeVar
 
+from zenostat.bridge.runtime.user_code import refuse_exit
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.messages import Action, Actuator, Manifest
 from zenostat.topics.points import contains, describe_violation
@@ -81,7 +82,7 @@ def make_controller(factory: Callable[..., T], manifest: Manifest, parameters: M
 
     Raises:
         ControllerMismatch: a required parameter is left out, or the node lacks what the controller needs.
-        InvalidConfig: an unknown or invalid parameter.
+        InvalidConfig: an unknown or invalid parameter, or the controller ended the program.
     """
     name = check_parameters(factory, parameters)
     signature = list(inspect.signature(factory).parameters.values())[1:]
@@ -92,7 +93,8 @@ def make_controller(factory: Callable[..., T], manifest: Manifest, parameters: M
     ]
     if missing:
         raise ControllerMismatch(f"{name} needs {_join(missing)}: --set {missing[0]}=..., or {missing[0]}= in Python")
-    return factory(manifest, **parameters)
+    with refuse_exit(name):
+        return factory(manifest, **parameters)
 
 
 def with_parameters(factory: Callable[..., T], parameters: Mapping[str, Any]) -> Callable[..., T]:

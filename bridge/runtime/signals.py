@@ -12,6 +12,10 @@ TERMINATION_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 """The signals of Ctrl-C and of `kill`."""
 
 
+class Terminated(SystemExit):  # an outcome, as `SystemExit` is
+    """A signal ends the program."""
+
+
 @contextmanager
 def override_signals(handler: Callable[[int, Any], Any] | signal.Handlers, *numbers: signal.Signals) -> Iterator[None]:
     """Handle these signals with `handler`, and restore the previous handlers on exit. In the main thread only."""

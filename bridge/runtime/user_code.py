@@ -5,7 +5,12 @@ from __future__ import annotations
 import sys
 import sysconfig
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+
+from zenostat.bridge.runtime.signals import Terminated
+from zenostat.topics.errors import InvalidConfig
 
 _PACKAGE = sys.modules[__name__.partition(".")[0]]
 _NOT_USER_CODE = (Path(str(_PACKAGE.__file__)).parent, Path(sysconfig.get_path("stdlib")))
@@ -21,6 +26,21 @@ def describe_user_error(error: BaseException) -> str:
     frames = user_frames(error)
     place = f"{Path(frames[-1].filename).name}, line {frames[-1].lineno}: " if frames else ""
     return f"{place}{type(error).__name__}: {error}"
+
+
+@contextmanager
+def refuse_exit(what: str) -> Iterator[None]:
+    """Report a `SystemExit` of the user's code, as of argparse, as an error; a signal ends the program all the same.
+
+    Raises:
+        InvalidConfig: the code ended the program.
+    """
+    try:
+        yield
+    except Terminated:
+        raise
+    except SystemExit as error:
+        raise InvalidConfig(f"{what} ended the program: {describe_user_error(error)}") from error
 
 
 def _is_user_code(filename: str) -> bool:

@@ -18,6 +18,7 @@ from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.agent_sdk.rewards import LinearReward, MultiZoneReward, OccupiedReward, read_reward
 from zenostat.agent_sdk.testing import Climate, FakeBuilding, FakeLink
 from zenostat.bridge.client.sample import SampleView
+from zenostat.bridge.runtime.signals import Terminated
 from zenostat.lab.evaluate import EpisodeRecord, Evaluation, evaluate, run_episode, without_actuators
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
 from zenostat.topics import yaml12
@@ -292,6 +293,30 @@ def test_run_episode__repeated_actions_count_in_each_timestep(wrap: Callable[[An
     assert results[0].steps == 96
     assert results == results[:1] * 3
     assert steps == [*range(1, 97)] * 3
+
+
+class Exits(Controller):
+    """A controller that ends the program, as argparse does, in `__init__` or in `act`."""
+
+    def __init__(self, manifest: Manifest, *, at_once: bool = False, end: type[SystemExit] = SystemExit) -> None:
+        super().__init__(manifest)
+        self._end = end
+        if at_once:
+            raise SystemExit(0)
+
+    def act(self, sample: SampleView) -> dict[str, float]:
+        raise self._end(0)
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+def test_evaluation__controller_that_ends_the_program_is_an_error(*, at_once: bool) -> None:
+    with pytest.raises(InvalidConfig, match=r"ended the program: test_evaluation\.py, line \d+: SystemExit: 0"):
+        evaluate(building(), {"exits": partial(Exits, at_once=at_once)})
+
+
+def test_evaluation__signal_ends_the_program_also_within_a_controller() -> None:
+    with pytest.raises(Terminated):
+        evaluate(building(), {"exits": partial(Exits, end=Terminated)})
 
 
 def test_evaluation__limit_that_is_broken_ends_the_episode() -> None:
