@@ -97,7 +97,7 @@ class Range(ConfigPart):
         span = self.high - self.low
         if not span <= step * MAX_POINTS:
             raise InvalidConfig(f"more than {MAX_POINTS:,} values, the most points that a grid may have")
-        return [self.low + i * step for i in range(int(span / step + _TOLERANCE) + 1)]
+        return [min(self.low + i * step, self.high) for i in range(int(span / step + _TOLERANCE) + 1)]
 
 
 def _as_choices(value: Any) -> Any:

@@ -10,6 +10,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from zenostat.topics.errors import InvalidConfig
@@ -150,6 +151,13 @@ def test_open_study__waits_for_the_machine_that_is_creating_the_study(tmp_path: 
     created.set_user_attr("zenostat", {})  # as between the creation and what is written after it
     threading.Timer(0.5, created.set_user_attr, ["zenostat", identity]).start()
     assert open_study(config).study_name == "s"
+
+
+@pytest.mark.parametrize(("low", "high", "step"), [(0.1, 0.3, 0.1), (0.0, 0.7, 0.1), (1.1, 3.3, 1.1), (0, 9, 3)])
+def test_range__grid_ends_at_its_high_end(low: float, high: float, step: float) -> None:
+    values = Range(low=low, high=high, step=step).values()
+    assert values[-1] == high
+    assert values == pytest.approx(list(np.linspace(low, high, len(values))))
 
 
 @pytest.mark.parametrize(("direction", "sign"), [("maximize", 1.0), ("minimize", -1.0)])
