@@ -190,10 +190,10 @@ class ErrorCollector:
             return None
 
     def raise_if_any(self) -> None:
-        """Raise one error with the collected texts, one per line; `InvalidConfig` if their classes differ."""
+        """Raise one error with the collected texts, each once, on lines; `InvalidConfig` if their classes differ."""
         kinds = {type(error) for error in self.errors}
         if self.errors:
-            raise (kinds.pop() if len(kinds) == 1 else InvalidConfig)("\n".join(map(str, self.errors)))
+            raise (kinds.pop() if len(kinds) == 1 else InvalidConfig)("\n".join(dict.fromkeys(map(str, self.errors))))
 
 
 def _candidates(folded: str, names: list[str]) -> list[str]:

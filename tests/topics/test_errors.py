@@ -14,6 +14,7 @@ from zenostat.bridge.transport.session import DEFAULT_ENDPOINT, check_endpoint, 
 from zenostat.topics import errors
 from zenostat.topics.errors import (
     AddressInUse,
+    ErrorCollector,
     InvalidConfig,
     NodeNotFound,
     RequestRejected,
@@ -245,3 +246,15 @@ def test_errors__path_of_a_unix_socket_is_not_taken_over(tmp_path: Path) -> None
 def test_repeated__names_each_item_that_occurs_twice_once_in_their_order() -> None:
     assert repeated(["b", "a", "c", "a", "b", "a"]) == ["b", "a"]
     assert repeated({"a": 1, "b": "c"}) == []
+
+
+def test_error_collector__reports_all_errors_and_equal_ones_once() -> None:
+    def fail(text: str) -> None:
+        raise InvalidConfig(text)
+
+    collector = ErrorCollector()
+    for text in ("no cache", "no weather", "no cache"):
+        collector.collect(lambda text=text: fail(text))
+    with pytest.raises(InvalidConfig) as error:
+        collector.raise_if_any()
+    assert str(error.value).splitlines() == ["no cache", "no weather"]
