@@ -37,7 +37,7 @@ def report(
 
     Example: `zenostat report runs/*.mcap --out report.html`
     """
-    outputs = ReportOutputs(target, figures)
+    outputs = ReportOutputs(target, figures, "--out")
     if not outputs.wanted:
         raise InvalidConfig("expected --out FILE.html, --figures FOLDER, or both")
     rates = read_rates("--price", prices), read_rates("--emissions", emissions)

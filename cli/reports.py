@@ -21,19 +21,24 @@ FIGURES_HELP = "Write the figures of the report to a folder as PNG, SVG and CSV.
 class ReportOutputs:
     """Files to which a report and its figures are written; checked before anything is simulated.
 
+    Attributes:
+        report, figures: the paths; None if not asked for.
+        option: of the report, for errors.
+
     Raises:
         InvalidConfig: nothing can be written there, or Matplotlib is missing.
     """
 
     report: Path | None
     figures: Path | None
+    option: str = "--report"
 
     def __post_init__(self) -> None:
         if self.wanted:
             from zenostat.views.report import check_figures_folder, check_report_file
 
             if self.report is not None:
-                check_report_file(self.report, "--report")
+                check_report_file(self.report, self.option)
             if self.figures is not None:
                 check_figures_folder(self.figures, "--figures")
 

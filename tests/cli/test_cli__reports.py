@@ -73,6 +73,13 @@ def test_cli__wrong_path_is_one_sentence_before_anything_starts(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder.html"]
 
 
+def test_cli__report_of_recordings_names_its_own_option(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    assert "--out report.txt: expected an .html file" in error_of(
+        "report", "a.mcap", "--out", "report.txt", cwd=tmp_path
+    )
+
+
 def test_cli__without_matplotlib_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     import sys
 
