@@ -42,9 +42,11 @@ def demo(
         Path, typer.Option(help="Output folder for the recording, the report and the screenshot.")
     ] = Path("demo"),
     building: Annotated[str, argument("building")] = _DEFAULTS[0],
-    weather: Annotated[str, argument("weather")] = _DEFAULTS[1],
-    begin: Annotated[str, argument("begin")] = _DEFAULTS[2],
-    end: Annotated[str, argument("end")] = _DEFAULTS[3],
+    weather: Annotated[
+        str, typer.Option(help="Short name, EPW file, or any unique part of a listed name.")
+    ] = _DEFAULTS[1],
+    begin: Annotated[str, typer.Option(help="First day, MM-DD or YYYY-MM-DD.")] = _DEFAULTS[2],
+    end: Annotated[str, typer.Option(help="Last day, MM-DD or YYYY-MM-DD.")] = _DEFAULTS[3],
 ) -> None:
     """Run a node, a controller and a monitor in separate processes, and compare two controllers.
 

@@ -40,8 +40,8 @@ def evaluate(
         list[str],
         typer.Option(
             "--controller",
-            help="A controller as for `zenostat run` (baseline, rbc, best.yaml, path/to/file.py:MyController, ...), or "
-            "a Stable-Baselines3 model: ppo:model.zip; repeatable.",
+            help="A controller as for `zenostat run`: baseline, rbc, best.yaml, training/office, "
+            "path/to/file.py:MyController, ...; repeatable.",
         ),
     ],
     episodes: Annotated[int, typer.Option(min=1, help="Episodes per controller.")] = 1,

@@ -72,11 +72,13 @@ def model(
     end: Annotated[str, typer.Option(help="Last day that --probe simulates, MM-DD.")] = "07-07",
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Describe a building model: zones, systems, controls, schedules, actuators, errors. Simulates nothing.
+    """Describe a building model: zones, systems, controls, schedules, actuators, errors.
 
     Example: `zenostat model office-medium --html office.html`
 
     Example: `zenostat model run.mcap --brick office.ttl`
+
+    It simulates nothing without `--probe`.
 
     Exit codes: 0 without errors in the model, 1 with errors, 2 if the command cannot be run.
     """

@@ -35,9 +35,11 @@ def run(
     controller: Annotated[
         str,
         typer.Option(
-            help="baseline (no commands), rbc (rules on comfort bands), random, fixed, setback (by the clock), "
-            "incremental, pid; a controller file (best.yaml of `zenostat tune`); or your own class: "
-            "path/to/file.py:MyController or package.module:MyController."
+            help="baseline (no commands), rbc (rules on comfort bands), fixed, setback (by the clock), offsets, "
+            "incremental, pid, coordinator (of districts), portable-setback, portable-limit, random, oracle (only in "
+            "environments); a controller file (best.yaml of `zenostat tune`); a training's folder, ppo:model.zip or an "
+            "exported policy (FILE.npz); or your own class: path/to/file.py:MyController or "
+            "package.module:MyController."
         ),
     ] = "rbc",
     parameters: Annotated[

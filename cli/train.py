@@ -33,7 +33,8 @@ def train(
         typer.Argument(metavar="[FILE.yaml]", help="Training file; with --resume also a training's folder."),
     ] = None,
     algorithm: Annotated[
-        str | None, typer.Option(help="ppo, sac, td3, dqn, a2c, ddpg or recurrent-ppo of stable-baselines3.")
+        str | None,
+        typer.Option(help="ppo, sac, td3, dqn, a2c or ddpg of stable-baselines3, or recurrent-ppo of sb3-contrib."),
     ] = None,
     scenario: Annotated[str | None, typer.Option(help="Scenario id or scenario file.")] = None,
     steps: Annotated[int | None, typer.Option(min=1, help="Training steps, over all slots.")] = None,

@@ -23,8 +23,8 @@ Size = Annotated[
 Tab = Annotated[
     str | None,
     typer.Option(
-        help="Tab in the screenshot: Building, Zones, Energy, Control, Other points or Events; of one of several nodes "
-        "NODE/TAB. Default: the first."
+        help="Tab in the screenshot: Building, Zones, Energy, Grid, Control, Other points or Events; of one of several "
+        "nodes NODE/TAB. Default: the first."
     ),
 ]
 

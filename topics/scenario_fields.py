@@ -58,9 +58,13 @@ class ScenarioArguments(TypedDict, total=False):
         ),
     ]
     begin: Annotated[
-        str | date | None, Doc("First day, MM-DD or YYYY-MM-DD; by default that of the model's run period.")
+        str | date | None,
+        Doc("First day, MM-DD or YYYY-MM-DD; by default that of the scenario or of the model's run period."),
     ]
-    end: Annotated[str | date | None, Doc("Last day, MM-DD or YYYY-MM-DD; by default that of the model's run period.")]
+    end: Annotated[
+        str | date | None,
+        Doc("Last day, MM-DD or YYYY-MM-DD; by default that of the scenario or of the model's run period."),
+    ]
     steps_per_hour: Annotated[
         int | None, Doc("Timesteps per hour, a divisor of 60 from 1 to 60; by default as in the model.")
     ]

@@ -12,6 +12,8 @@ import pytest
 from rich.console import Console
 from support.run_cli import DAY, error_of, output_of, plain, run_in_process, run_program
 
+from zenostat.controllers import CONTROLLERS
+
 COMMANDS = (
     "node", "run", "evaluate", "monitor", "status", "read", "watch", "write", "relinquish", "points", "buildings",
     "weathers", "asyncapi", "demo", "pace", "pause", "resume", "step", "faults", "reset", "stop", "plot", "alarms",
@@ -28,6 +30,11 @@ def test_help__has_an_example_that_the_command_takes(command: str) -> None:
     assert words[0] == command
     for option in (word for word in words if word.startswith("--")):
         assert option in output.split("Options")[1]
+
+
+def test_help_of_run__names_each_bundled_controller() -> None:
+    words = set(re.findall(r"[a-z]+(?:-[a-z]+)*", plain(output_of("run", "--help").replace("│", " "))))
+    assert CONTROLLERS.keys() <= words
 
 
 @pytest.mark.parametrize(

@@ -121,7 +121,7 @@ def test_scenario_fields__settings_that_are_no_arguments_follow_their_options(mo
         ("node", [name for name in options() if name in NODE_ARGUMENTS]),
         ("evaluate", ["begin", "end"]),
         ("probe", ["begin", "end"]),
-        ("demo", ["building", "weather", "begin", "end"]),
+        ("demo", ["building"]),
     ],
 )
 def test_scenario_fields__help_of_a_command_has_the_same_sentence(command: str, names: list[str]) -> None:
