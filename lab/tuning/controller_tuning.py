@@ -14,7 +14,15 @@ from zenostat.agent_sdk.controllers import ControllerProtocol, load_controller
 from zenostat.lab.tuning.controller_episodes import ControllerEpisodes
 from zenostat.lab.tuning.controller_study import check_names
 from zenostat.lab.tuning.search_space import DEFAULT, ask, decode
-from zenostat.lab.tuning.study_config import Direction, Pruner, Range, SearchSpace, default_direction, starting_point
+from zenostat.lab.tuning.study_config import (
+    Direction,
+    Pruner,
+    Range,
+    SearchSpace,
+    check_metric,
+    default_direction,
+    starting_point,
+)
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
@@ -113,6 +121,7 @@ def tune_controller(
     """
     if trials < 1 or not seeds:
         raise InvalidConfig(f"trials={trials}, seeds={list(seeds)}: expected at least one of each")
+    check_metric(metric)
     searched, fixed = read_search_space(parameters), dict(fixed or {})
     factory = load_controller(controller) if isinstance(controller, str) else controller
     check_names(factory, searched, fixed)

@@ -32,6 +32,18 @@ def default_direction(metric: str) -> Direction:
     return "maximize" if metric.removeprefix("mean_").partition(".")[0] == "reward" else "minimize"
 
 
+def check_metric(metric: str) -> None:
+    """Check that the episodes of a study can have a metric, as far as its name tells.
+
+    Raises:
+        InvalidConfig: it needs prices or emission factors.
+    """
+    if metric in ("kpi.cost_tot", "kpi.emis_tot"):
+        raise InvalidConfig(
+            f"metric: {metric} needs prices or emission factors, which a study does not have; use a reward with them"
+        )
+
+
 class Range(ConfigPart):
     """A parameter to search: numbers from `low` to `high`, or `choices`.
 
@@ -219,8 +231,12 @@ class StudyConfig(ConfigPart, ABC):
 
         Raises:
             InvalidConfig: the grid has ranges without a step or another number of trials, there is no number of trials,
-                or `cma-es` has a choice.
+                `cma-es` has a choice, or the metric needs prices.
         """
+        try:
+            check_metric(self.metric)
+        except InvalidConfig as error:
+            raise InvalidConfig(f"{what}: {error}") from None
         if self.sampler == "grid":
             points = len(self.grid())
             if self.trials not in (None, points):

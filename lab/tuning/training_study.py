@@ -46,11 +46,19 @@ class TrainingStudy(StudyConfig):
         """Return the study with its number of trials; see `StudyConfig.checked`.
 
         Raises:
-            InvalidConfig: the training with the first value of each searched parameter is invalid as well.
+            InvalidConfig: the training with the first value of each searched parameter is invalid as well, or its
+                first evaluation comes after its last step.
         """
         config = super().checked(what)
-        if not config.training_of(config.first_values, config.folder).evaluation:
+        training = config.training_of(config.first_values, config.folder)
+        if not training.evaluation:
             raise InvalidConfig(f"{what}: training.evaluation: a study compares evaluations, so it cannot be false")
+        is_searched = not {"steps", "evaluation.every_steps"}.isdisjoint(config.parameters)
+        if (training.evaluation_steps or 0) > training.steps and not (training.evaluation.at_start or is_searched):
+            raise InvalidConfig(
+                f"{what}: training.evaluation.every_steps: {training.evaluation_steps} is above the {training.steps} "
+                "steps, but a study compares evaluations"
+            )
         return config
 
     def file_names(self) -> Iterable[Any]:

@@ -37,7 +37,9 @@ def _run(request: dict[str, Any]) -> dict[str, Any]:
     except Pruned:
         return pruned_result(report)
     if not report.values:
-        raise InvalidConfig("the training ended before its first evaluation: set evaluation.every_steps below steps")
+        raise InvalidConfig(
+            "the training ended before its first evaluation: set evaluation.every_steps to at most steps"
+        )
     return {"state": "complete", "value": report.values[-1]}
 
 

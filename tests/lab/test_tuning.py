@@ -101,12 +101,21 @@ def test_tuning__ranges_are_the_distributions_of_optuna(searched: dict[str, Any]
         ({"trials": None}, "trials: it is missing"),
         ({"tirals": 3}, "did you mean 'trials'"),
         ({"training": {**TRAINING, "evaluation": False}}, "a study compares evaluations"),
+        ({"training": {**TRAINING, "evaluation": {"every_steps": 61}}}, "every_steps: 61 is above the 60 steps"),
+        ({"metric": "kpi.cost_tot"}, "the study: metric: kpi.cost_tot needs prices"),
         ({"training": {**TRAINING, "step": 3}}, "step: there is no such field; did you mean 'steps'"),
     ],
 )
 def test_tuning__bad_input_is_one_sentence(changes: dict[str, Any], text: str, tmp_path: Path) -> None:
     with pytest.raises(InvalidConfig, match=text):
         study(tmp_path, **changes)
+
+
+def test_tuning__first_evaluation_may_come_before_or_with_the_first_or_last_step(tmp_path: Path) -> None:
+    for evaluation in ({"every_steps": 60}, {"every_steps": 61, "at_start": True}, {"every_episodes": 99}):
+        study(tmp_path, training={**TRAINING, "evaluation": evaluation})
+    late = {**TRAINING, "evaluation": {"every_steps": 61}}
+    study(tmp_path, training=late, parameters={"steps": {"low": 50, "high": 100}})
 
 
 def test_tuning__parameter_that_the_algorithm_does_not_have_is_found_before_the_study_is_created(

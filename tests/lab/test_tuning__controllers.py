@@ -192,6 +192,7 @@ def test_tune_controller__class_with_a_required_parameter_needs_it_fixed() -> No
         ({"fixed": {"margin": 1.0}}, "margin is both searched and fixed; remove one of both"),
         ({"trials": 0}, "trials=0"),
         ({"metric": "rewrad"}, "metric: the evaluations have no 'rewrad'; did you mean 'reward'"),
+        ({"metric": "kpi.emis_tot"}, "metric: kpi.emis_tot needs prices or emission factors"),
         ({"arguments": {"scenario": "Fke-v1"}}, "there is no scenario 'Fke-v1'; did you mean 'Fake-v1'"),
     ],
 )
