@@ -25,7 +25,7 @@ SHARES = (0.5, 0.2, 0.3)
 def office(
     zones: Sequence[str] = ("core", "south"), *, steps: int = 96, begin: str = "2017-07-03T00:00:00"
 ) -> Manifest:
-    """An office with meters of its electricity and end uses, and a temperature, occupants and a set-point a zone."""
+    """An office with meters of its electricity and end uses, and a temperature, occupants and a setpoint a zone."""
     cool = [actuator(f"{zone}_cooling_setpoint", 22.5, 30.0) for zone in zones]
     base = manifest(
         sensors=[

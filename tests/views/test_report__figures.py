@@ -181,7 +181,7 @@ def test_report__hours_within_the_band_are_blank_and_others_the_stronger_the_far
 def test_timeline__has_setpoints_and_their_sources() -> None:
     curves = office_comparison().curves
     figure = actuators.timeline(curves)
-    assert set(figure.data["rbc: Cooling set-points, mean (°C)"]) == {24.0}
+    assert set(figure.data["rbc: Cooling setpoints, mean (°C)"]) == {24.0}
     assert {name: share.mean() for name, share in actuators.source_shares(curves[1]).items()} == {"rbc": 1.0}
     assert {name: share.mean() for name, share in actuators.source_shares(curves[0]).items()} == {"": 1.0}
 
@@ -211,7 +211,7 @@ def test_timeline__range_is_that_of_the_known_values() -> None:
     part = run("rbc", of, [10.0] * 2, [[24.0] * 2] * 3, [[0.0] * 2] * 3).trajectory
     part.effective[1:] = [[20.0, 24.0, np.nan], [np.nan, np.nan, np.nan]]
     data = actuators.timeline([Curve("rbc", 0, Quantities(part))]).data
-    values = [data[f"rbc: Cooling set-points, {kind} (°C)"] for kind in ("lowest", "mean", "highest")]
+    values = [data[f"rbc: Cooling setpoints, {kind} (°C)"] for kind in ("lowest", "mean", "highest")]
     np.testing.assert_array_equal(np.transpose(values), [[20.0, 22.0, 24.0], [np.nan] * 3])
 
 

@@ -1,4 +1,4 @@
-"""The timeline of set-points and actuators, and who set them."""
+"""The timeline of setpoints and actuators, and who set them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _Groups = dict[tuple[str, str], Floats]
 
 
 def timeline(curves: Sequence[Curve]) -> Figure | None:
-    """Set-points and actuators over time, with the source of their values; None if there are none."""
+    """Setpoints and actuators over time, with the source of their values; None if there are none."""
     tables = [_groups(curve) for curve in curves]
     groups = [_known(table) for table in tables]
     titles = list(dict.fromkeys(title for group in groups for title in group))
@@ -59,7 +59,7 @@ def timeline(curves: Sequence[Curve]) -> Figure | None:
         mark_days(axes[-1], first, days)
 
     return Figure(
-        "actuators", "Set-points and actuators", _caption(titles, _incomplete(tables), is_long=is_long),
+        "actuators", "Setpoints and actuators", _caption(titles, _incomplete(tables), is_long=is_long),
         f"Lines over time of {', '.join(title for title, _ in shown)}, and who set them.",
         draw("actuators", 1.05 + 1.12 * len(shown) + strips_in, fill), _columns(curves, groups),
     )  # fmt: skip
@@ -91,11 +91,11 @@ def _columns(curves: Sequence[Curve], groups: Sequence[_Groups]) -> dict[str, Se
 
 
 def _groups(curve: Curve) -> _Groups:
-    """Return the values of set-points and of the other actuators, which are grouped by their kind; NaN: not known."""
+    """Return the values of setpoints and of the other actuators, which are grouped by their kind; NaN: not known."""
     trajectory, roles = curve.quantities.trajectory, curve.quantities.roles
     groups: _Groups = {}
     thermostats = set()
-    for title, kind in (("Cooling set-points", "cooling"), ("Heating set-points", "heating")):
+    for title, kind in (("Cooling setpoints", "cooling"), ("Heating setpoints", "heating")):
         columns = []
         for zone in roles.zones:
             sensor, actuator = getattr(zone, f"{kind}_setpoint"), getattr(zone, f"{kind}_actuator")

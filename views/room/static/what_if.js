@@ -1,4 +1,4 @@
-// The question "what if": set-points or another controller on a copy of the building, beside the building as it is.
+// The question "what if": setpoints or another controller on a copy of the building, beside the building as it is.
 
 import { copyText, get, nodePath, post, toast } from "./api.js";
 import { fill, h, setAttribute, setText } from "./dom.js";
