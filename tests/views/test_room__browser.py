@@ -57,6 +57,10 @@ class Tank:
 '''
 
 
+LONG_NAMES = """() => document.querySelectorAll(".crumb, .drawer h2, .drawer .code")
+    .forEach(element => { element.textContent = "a_long_name".repeat(9); })"""
+
+
 @pytest.fixture(scope="module")
 def office(module_folder: Path) -> Iterator[NodeProgram]:
     rules = module_folder / "alarms.yaml"
@@ -350,7 +354,7 @@ def test_room__texts_with_markup_are_texts(ada: Visitor, room: Any, bus: zenosta
 
 @pytest.mark.slow
 @pytest.mark.variants
-@pytest.mark.parametrize("width", [390, 768])
+@pytest.mark.parametrize("width", [320, 390, 700])
 def test_room__page_does_not_scroll_sideways(browser: Any, room: Any, width: int) -> None:
     visitor = Visitor(browser, width=width, scheme="light")
     try:
@@ -358,7 +362,12 @@ def test_room__page_does_not_scroll_sideways(browser: Any, room: Any, width: int
         for view in ("", "?node=office", f"?node=office&table=points&tab=what-if&point={SETPOINT}"):
             page = visitor.open(f"{room.url}/{view}")
             page.locator(".card, .zone[fill]").first.wait_for()
+            page.evaluate(LONG_NAMES)
             assert page.evaluate("document.documentElement.scrollWidth") <= width
+            assert (
+                page.evaluate("Math.max(0, ...[...document.querySelectorAll('.drawer')].map(e => e.scrollWidth))")
+                <= width
+            )
     finally:
         visitor.close()
 

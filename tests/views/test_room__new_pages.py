@@ -144,7 +144,7 @@ def test_room__recording_is_replayed_from_its_page(ada: Visitor, room: Any) -> N
     page.locator("tbody tr", has_text="replay recording").first.wait_for()
 
 
-@pytest.mark.parametrize("width", [390, 768])
+@pytest.mark.parametrize("width", [320, 390, 700])
 def test_room__new_pages_do_not_scroll_sideways(browser: Any, room: Any, width: int) -> None:
     visitor = Visitor(browser, width=width, scheme="light")
     visitor.open(room.room.link("grace")).locator(".card").first.wait_for()

@@ -110,7 +110,7 @@ function showPages(name, node) {
   const entries = [["", "Nodes"], ...Object.entries(PAGES).map(([each, [, text]]) => [each, text])];
   fill(document.getElementById("pages"), entries.map(([each, text]) => h("a", {
     href: address({ page: each }, false), "aria-current": each === name && !node ? "page" : null, onclick: (event) => link(event, { page: each }) }, text)));
-  fill(document.getElementById("crumbs"), node && [h("span", { "aria-hidden": "true" }, "›"), h("span", { class: "crumb" }, node)]);
+  fill(document.getElementById("crumbs"), node && [h("span", { "aria-hidden": "true" }, "›"), h("span", { class: "crumb", title: node }, node)]);
 }
 
 function show() {
