@@ -387,6 +387,23 @@ def test_events__page_has_those_that_the_stream_leaves_out(ada: Visitor, room: A
     assert numbers == [*range(numbers[0], numbers[0] - len(numbers), -1)]
 
 
+def test_point__events_are_its_own_with_their_kind(ada: Visitor, room: Any) -> None:
+    page = ada.open(f"{room.url}/?node=tank&point=valve")
+    watch = room.room.watch.find("tank")
+    for kind, text in (
+        (EventKind.WRITTEN, "main_valve = 1 kg/s"),
+        (EventKind.WRITTEN, "valve_2 = 1 kg/s"),
+        (EventKind.WRITTEN, "north.valve = 1 kg/s"),
+        (EventKind.REJECTED, "valve = 9 kg/s; its bounds are 0 to 0.05 kg/s"),
+        (EventKind.WARNING, "no value of valve."),
+    ):
+        watch.add_event(Event(kind=kind, text=text))
+    page.locator(".drawer .log", has_text="warning no value of valve.").wait_for()
+    shown = [text for text in page.locator(".drawer .log li").all_inner_texts() if "valve" in text]
+    assert "rejected valve = 9 kg/s; its bounds are 0 to 0.05 kg/s" in shown[1]
+    assert not any("main" in text or "valve_2" in text or "north" in text for text in shown)
+
+
 def test_alarms__missing_value_is_named(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:
     bus.faults("tank", {"faults": [{"kind": "drop", "points": ["level"]}]})
     bus.step("tank")

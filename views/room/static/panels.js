@@ -78,10 +78,14 @@ export class EventPanel {
     const numbers = latest.map((event) => event.number).join();
     if (numbers === this.numbers) return;
     this.numbers = numbers;
-    fill(this.list, latest.map((event) => h("li", { "data-number": event.number },
-      h("time", {}, shortTime(event.time)), " ",
-      h("span", { class: `kind ${event.kind}` }, words(event.kind)), " ", event.text, event.source && h("em", {}, ` ${event.source}`))));
+    fill(this.list, latest.map(eventItem));
   }
+}
+
+/** An event with its time, kind, text and source, as an item of a list. */
+export function eventItem(event) {
+  return h("li", { "data-number": event.number }, h("time", {}, shortTime(event.time)), " ",
+    h("span", { class: `kind ${event.kind}` }, words(event.kind)), " ", event.text, event.source && h("em", {}, ` ${event.source}`));
 }
 
 export class ControllerPanel {

@@ -3,6 +3,7 @@
 import { get, nodePath, operate } from "./api.js";
 import { fill, h, icon, setText } from "./dom.js";
 import { duration, hoursBefore, num, shortTime, shown, withUnit, words } from "./format.js";
+import { eventItem } from "./panels.js";
 import { forOperators, mayChange, refusalNote } from "./session.js";
 import { chart } from "./trends.js";
 import { change, view } from "./view.js";
@@ -143,9 +144,15 @@ export class PointPanel {
   }
 
   showEvents(events) {
-    const own = events.filter((event) => event.text.includes(this.point.name)).slice(-8).reverse();
-    fill(this.events, own.length ? own.map((event) => h("li", {}, h("time", {}, shortTime(event.time)), " ", h("span", {}, event.text), event.source && h("em", {}, ` ${event.source}`))) : h("li", { class: "muted" }, "none since this page's server was started"));
+    const own = events.filter((event) => names(event.text, this.point.name)).slice(-8).reverse();
+    fill(this.events, own.length ? own.map(eventItem) : h("li", { class: "muted" }, "none since the control room was started"));
   }
+}
+
+/** Whether a text has a name, and not only as a part of a longer one. */
+export function names(text, name) {
+  const escaped = name.replace(/[\\^$.*+?()[\]{}|/]/g, "\\$&");
+  return new RegExp(`(?<![\\p{L}\\p{N}_][.-]?)${escaped}(?![.-]?[\\p{L}\\p{N}_])`, "u").test(text);
 }
 
 export { duration, DURATIONS, priorityName };
