@@ -17,7 +17,7 @@ from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signal
 from zenostat.cli.boptest import boptest
 from zenostat.cli.console import err, out
 from zenostat.cli.gateway_clients import Allow, clients_of, notify
-from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
+from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus, only_node
 from zenostat.topics.errors import InvalidConfig, NodeNotFound, RequestRejected, ZenostatError
 from zenostat.topics.extras import install_command
 from zenostat.topics.keys import Role, check_name
@@ -53,7 +53,7 @@ app.command()(boptest)
 @on_bus
 def zeromq(
     options: BusOptions = DEFAULTS,
-    node: Annotated[str, typer.Option(help="Serve only this node. Default: all.")] = "*",
+    node: Annotated[list[str] | None, typer.Option(metavar="<str>", help="Serve only this node. Default: all.")] = None,
     publish: Annotated[
         str, typer.Option(help="Address that publishes samples, events and manifests.")
     ] = "tcp://127.0.0.1:5556",
@@ -75,7 +75,8 @@ def zeromq(
     from zenostat.gateways.zeromq.sockets import is_local
 
     clients = clients_of(None, allow, is_exposed=not is_local(command), name_themselves=True)
-    served = "all nodes" if node == "*" else f"node {node}"
+    only = only_node(node)
+    served = "all nodes" if only == "*" else f"node {only}"
 
     def run() -> Gateway:
         opened = options.open_session(Role.GATEWAY)
@@ -83,7 +84,7 @@ def zeromq(
             opened as session,
             Gateway(
                 session,
-                node,
+                only,
                 publish=publish,
                 command=command,
                 lease_s=lease,

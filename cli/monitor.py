@@ -12,7 +12,7 @@ import typer
 
 from zenostat.bridge.transport.session import DEFAULT_ENDPOINT
 from zenostat.cli.console import out, until_signal
-from zenostat.cli.options import BusOptions, CertificateName, Keys
+from zenostat.cli.options import BusOptions, CertificateName, Keys, only_node
 from zenostat.cli.view import At, Size, Tab, screenshot_request
 from zenostat.topics.errors import InvalidConfig, NodeNotFound, ViewerError, did_you_mean
 from zenostat.topics.keys import Role
@@ -25,7 +25,7 @@ _PAUSE_S = 0.2
 
 
 def monitor(
-    node: Annotated[str, typer.Option(help="Show only this node. Default: all.")] = "*",
+    node: Annotated[list[str] | None, typer.Option(metavar="<str>", help="Show only this node. Default: all.")] = None,
     connect: Annotated[
         str | None,
         typer.Option(help="Endpoint of the bus; waits until it is available.", show_default=DEFAULT_ENDPOINT),
@@ -47,7 +47,7 @@ def monitor(
     from zenostat.views.live.screenshot import check_writable, draw
     from zenostat.views.live.viewer import how_to_open
 
-    request = screenshot_request(screenshot, at, size, tab)
+    only, request = only_node(node), screenshot_request(screenshot, at, size, tab)
     if save is not None:
         if save.suffix != ".rrd":
             raise InvalidConfig(f"--save {save}: expected a .rrd file, for example --save run.rrd")
@@ -56,7 +56,7 @@ def monitor(
         recording = save
         if request is not None and recording is None:
             recording = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="zenostat-"))) / "run.rrd"
-        samples = _stream(node, BusOptions(connect, keys, certificate), recording, web=web, once=once)
+        samples = _stream(only, BusOptions(connect, keys, certificate), recording, web=web, once=once)
         if save is not None and samples is not None:
             out.print(f"recording: {save}; open it with: {how_to_open(save)}")
         if request is not None and recording is not None and samples:

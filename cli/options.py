@@ -20,6 +20,7 @@ from zenostat.bridge.transport.session import (
     names_certificate,
     open_session,
 )
+from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.keys import Role
 
 if TYPE_CHECKING:
@@ -57,6 +58,13 @@ class Loops(StrEnum):
 
     SOLVE = "solve"
     DELAY = "delay"
+
+
+def only_node(names: list[str] | None) -> str:
+    """Return the node that `--node` names, `*` if it names none; `InvalidConfig` if it names several."""
+    if names is not None and len(names) > 1:
+        raise InvalidConfig(f"--node: one node expected, or none for all, not {', '.join(names)}")
+    return names[0] if names else "*"
 
 
 @dataclass(frozen=True, slots=True)

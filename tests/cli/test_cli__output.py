@@ -51,6 +51,8 @@ def test_help_of_run__names_each_bundled_controller() -> None:
         (["node", *DAY, "--listen", "7447"], ["is not an endpoint", "tcp/127.0.0.1:7447"]),
         (["run", "--node", "office", "--controller", "rb"], ["no controller 'rb'", "'rbc'"]),
         (["monitor", "--save", "nowhere/run.rrd"], ["there is no folder", "nowhere"]),
+        (["monitor", "--node", "a", "--node", "b", "--save", "run.rrd"], ["--node: one node expected", "not a, b"]),
+        (["gateway", "zeromq", "--node", "a", "--node", "b"], ["--node: one node expected", "not a, b"]),
         (["monitor", "--screenshot", "run.jpg"], ["--screenshot run.jpg", "expected a .png file"]),
     ],
 )  # fmt: skip
