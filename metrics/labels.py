@@ -35,7 +35,7 @@ _CODE = re.compile(r"[a-z]\d*")
 
 def label(name: str) -> str:
     """Return a point's name as text: `core_bottom_cooling_setpoint` becomes `Core bottom cooling setpoint`."""
-    return _sentence(words(name)) or name
+    return _sentence(_lower_words(name)) or name
 
 
 def unused_name(name: str, used: Collection[str]) -> str:
@@ -45,7 +45,7 @@ def unused_name(name: str, used: Collection[str]) -> str:
 
 def zone_label(key: str) -> str:
     """Return a zone's name as text: `PERIMETER_BOT_ZN_1` becomes `Perimeter bottom 1`."""
-    every = words(key)
+    every = _lower_words(key)
     kept = [word for word in every if word not in ("zone", "thermal")]
     is_name = bool(kept) and kept[0][0].isalpha() and re.search(r"zone", key, re.IGNORECASE) is None
     return _sentence(kept if is_name else every) or key
@@ -71,9 +71,14 @@ def point_unit(point: Sensor | Meter | Actuator) -> str:
 
 
 def words(name: str) -> list[str]:
-    """Return the words of a name in lower case, with abbreviations of buildings' parts written out."""
+    """Return the words of a name for comparisons, case-folded, with abbreviations of buildings' parts written out."""
+    return [word.casefold() for word in _lower_words(name)]
+
+
+def _lower_words(name: str) -> list[str]:
+    """Return the words of a name as they are read, in lower case; see `words`."""
     parts = (word for part in _SEPARATORS.split(name) for word in _BREAKS.split(part))
-    lower = (part.strip("()[]-").casefold() for part in parts)
+    lower = (part.strip("()[]-").lower() for part in parts)
     return [_EXPANDED.get(word, word) for word in lower if word]
 
 

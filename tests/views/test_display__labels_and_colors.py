@@ -52,6 +52,7 @@ def test_display__labels_of_points(name: str, text: str) -> None:
         ("CORE_ZN", "Core"),
         ("ZN_1_FLR_1_SEC_5", "Zone 1 floor 1 section 5"),
         ("Zone1 Office", "Zone 1 office"),
+        ("Büro Straße", "Büro straße"),
         ("East Zone", "East zone"),
         ("SPACE5-1", "Space 5-1"),
         ("GroundFloor_Plenum", "Ground floor plenum"),
