@@ -572,6 +572,25 @@ def test_chart__band_is_that_of_each_timestep(ada: Visitor, room: Any) -> None:
     assert shaded == [[True, False], [False, True], [False, False], [True, True]]
 
 
+SCHEMATIC = """async (module) => {
+    const { Schematic } = await import(module), root = document.createElement("div");
+    document.body.append(root);
+    const zones = Array.from({ length: 400 }, (_, place) => ({ name: `Room ${place}`, zone: null, equipment: [] }));
+    new Schematic(root, { points: [], zones: [], systems: { components: [], loops: [], zones } }).onView();
+    const drawn = () => root.querySelectorAll(".plain-zone").length, more = root.querySelector(".wide-button");
+    const first = [drawn(), more.hidden, more.textContent];
+    more.click();
+    return [...first, drawn(), more.hidden];
+}"""
+
+
+def test_schematic__many_zones_are_drawn_when_they_are_wanted(ada: Visitor, room: Any) -> None:
+    page = ada.open(room.url)
+    page.locator(".card").first.wait_for()
+    shown = page.evaluate(SCHEMATIC, f"{room.url}/static/schematic.js")
+    assert shown == [30, False, "370 more zones", 400, True]
+
+
 FORMAT = "async ([module, name, ...values]) => (await import(module))[name](...values)"
 
 

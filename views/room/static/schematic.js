@@ -5,7 +5,7 @@ import { counted, num, shown, withUnit } from "./format.js";
 import { cells, layout } from "./schematic_layout.js";
 import { change, view } from "./view.js";
 
-const LINE = 17, TOP = 40, CAPTION = 22, MOST_VALUES = 5, OTHERS = "zones", TITLE = "650 12px", LABEL = "11.5px";
+const LINE = 17, TOP = 40, CAPTION = 22, MOST_VALUES = 5, MOST_ZONES = 30, OTHERS = "zones", TITLE = "650 12px", LABEL = "11.5px";
 const GROUPS = { AirLoopHVAC: "Air loops", PlantLoop: "Plant loops", CondenserLoop: "Condenser loops" };
 const SYMBOLS = [
   [/^Fan/, "M9 1a8 8 0 1 0 .01 0M9 9L3.5 4M9 9l7-2.5M9 9l-2 7.5"],
@@ -45,7 +45,8 @@ export class Schematic {
     this.facts = h("p", { class: "muted loop-values" });
     this.drawing = h("div", { class: "schematic" });
     this.detail = h("div", { class: "component", role: "region", "aria-label": "Component", hidden: true });
-    fill(root, h("div", { class: "row wrap loop-choice" }, h("label", { for: "loop" }, "Loop"), this.chosen, this.facts), this.drawing, this.detail);
+    this.more = h("button", { class: "wide-button", hidden: true, onclick: () => { this.limit = Infinity; this.draw(); } });
+    fill(root, h("div", { class: "row wrap loop-choice" }, h("label", { for: "loop" }, "Loop"), this.chosen, this.facts), this.drawing, this.more, this.detail);
     this.live = [];
     this.width = 0;
     this.resized = new ResizeObserver(() => { if (Math.abs(this.drawing.clientWidth - this.width) > 4) this.draw(); });
@@ -69,7 +70,7 @@ export class Schematic {
     const known = [...this.chosen.options].some((option) => option.value === loop);
     const next = known ? loop : this.chosen.options[0]?.value;
     this.component = /^\d+$/.test(component ?? "") && this.systems.components[component] ? Number(component) : null;
-    if (next !== this.shown) { this.shown = next; this.chosen.value = next; this.draw(); }
+    if (next !== this.shown) { this.shown = next; this.chosen.value = next; this.limit = MOST_ZONES; this.draw(); }
     this.mark();
     this.showDetail();
   }
@@ -99,7 +100,7 @@ export class Schematic {
     const width = Math.max(260, this.width - 6);  // without the padding
     const size = Math.min(206, width < 420 ? width - 110 : 204);
     const branches = (list) => list.map((branch) => branch.map((number) => this.box(number, size)));
-    const zones = (list) => list.map((zone) => [...zone.equipment.map((number) => this.box(number, size)), this.zoneBox(zone, size)]);
+    const zones = (list) => list.slice(0, this.limit).map((zone) => [...zone.equipment.map((number) => this.box(number, size)), this.zoneBox(zone, size)]);
     let plan, captions = [];
     if (this.shown === OTHERS) plan = cells(zones(this.systems.zones), width);
     else {
@@ -109,6 +110,9 @@ export class Schematic {
       captions = [...(supply.length ? ["Supply"] : []), ...(served.length ? [loop.zones.length ? `Zones (${loop.zones.length})` : "Demand"] : [])];
       plan = layout(supply, served, width, CAPTION);
     }
+    const left = (this.shown === OTHERS ? this.systems : this.systems.loops[this.shown]).zones.length - this.limit;
+    this.more.hidden = left <= 0;
+    setText(this.more, counted(left, "more zone"));
     this.live = [];
     const drawing = s("svg", { viewBox: `0 0 ${width} ${plan.height + 4}`, width, height: plan.height + 4, role: "group", "aria-label": this.title() },
       plan.captions.map((y, place) => s("text", { x: 26, y: y + 13, class: "caption" }, captions[place])),
