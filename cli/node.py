@@ -80,7 +80,7 @@ def node(
     no_monitoring: options.NoMonitoring = False,
     systems: options.Systems = False,
     baseline: options.Baseline = False,
-    branches: options.Branches = 64,
+    branches: options.Branches = 256,
     unresponsive_s: options.Unresponsive = 10.0,
     no_shrink_caches: options.NoShrinkCaches = False,
     resume: options.ResumeFile = None,

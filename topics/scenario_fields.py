@@ -155,7 +155,7 @@ class ScenarioArguments(TypedDict, total=False):
         ),
     ]
     baseline: Annotated[bool | None, Doc("Also run each episode under baseline control, for comparison.")]
-    branches: Annotated[int | None, Doc("Maximum number of snapshots and branches at a time, 0 to 4096.")]
+    branches: Annotated[int | None, Doc("Maximum number of snapshots and slots of branches at a time, 0 to 4096.")]
     unresponsive_s: Annotated[
         float | None, Doc("Kill an engine that neither answers nor computes for this long, in seconds, above 0.")
     ]

@@ -160,7 +160,7 @@ class BranchManager:
         server: the node's own.
         folder: for the files of the copies; the caller removes it.
         cpus: where their threads run; empty leaves it to the system.
-        limit: maximum number of snapshots and branches at a time.
+        limit: maximum number of snapshots and of slots of branches at a time.
     """
 
     def __init__(self, server: NodeServer, folder: Path, *, cpus: tuple[int, ...], limit: int) -> None:
@@ -210,7 +210,7 @@ class BranchManager:
         parent = self._server
         parent.check_slot(request.slot)
         snapshot = self.find(request.snapshot) if request.snapshot else None
-        name, folder = self._allocate("b", from_snapshot=snapshot is not None)
+        name, folder = self._allocate("b", request.slots, from_snapshot=snapshot is not None)
         with ExitStack() as undo:
             undo.callback(shutil.rmtree, folder, ignore_errors=True)
             full_name = keys.check_name(f"{parent.manifest.node}.{name}", "a branch's name")
@@ -303,16 +303,18 @@ class BranchManager:
             f"{self._server.manifest.node!r}"
         )
 
-    def _allocate(self, prefix: str, *, from_snapshot: bool = False) -> tuple[str, Path]:
-        """Return a name and a folder for a fork; raise `RequestRejected` if none is allowed now."""
+    def _allocate(self, prefix: str, slots: int = 1, *, from_snapshot: bool = False) -> tuple[str, Path]:
+        """Return a name and a folder for a fork; raise `RequestRejected` if it is not allowed now."""
         limit = self._limit
         if not from_snapshot:
             require_episodes(self._server.exchange, "fork")
-        count = len(self.snapshots) + sum(not branch.server.stopping for branch in self.branches.values())
-        if count >= limit:
+        branches = [branch.server for branch in self.branches.values() if not branch.server.stopping]
+        count = len(self.snapshots) + sum(server.manifest.slots for server in branches)
+        if count + slots > limit:
+            more = f", and {slots} slots would be added" if slots > 1 else ""
             raise RequestRejected(
-                f"the node has {count} snapshots and branches and allows {limit} (branches={limit}); "
-                "close some, or start the node with a higher limit"
+                f"the node has {count} snapshots and branches, counted by slots, and allows {limit} (branches={limit})"
+                f"{more}; close some, or start the node with a higher limit"
             )
         name = f"{prefix}{next(self._numbers)}"
         return name, self._folder / name

@@ -55,7 +55,7 @@ class NodeSettings(BaseModel):
     environment_reward: dict[str, Any] | Literal["scenario"] | None = "scenario"
     monitoring: bool = False
     systems: bool = False
-    branches: Annotated[int, Field(ge=0, le=4096)] = 64
+    branches: Annotated[int, Field(ge=0, le=4096)] = 256
     resume: Path | None = None
     record: Path | None = None
     record_on_full: OnFull = OnFull.WAIT

@@ -216,3 +216,23 @@ def test_branches__several_engines_in_a_branch_stand_where_their_one_parent_stoo
         sample = link.current()
         sample.send()
         assert rows == link.receive().message.values * 3
+
+
+def test_branches__each_slot_of_a_branch_counts(folder: Path) -> None:
+    settings = {"plant": "zenostat.agent_sdk.testing.fake_plant:FakePlant", "name": "fake", "branches": 4}
+    with (
+        NodeProgram(folder / "node", **settings) as node,
+        zenostat.connect(node.endpoint, affinity="off") as bus,
+        bus.controller("fake") as link,
+    ):
+        link.reset()
+        with pytest.raises(RequestRejected, match=r"has 0 snapshots.*allows 4 \(branches=4\), and 5 slots"):
+            bus.branch("fake", CreateBranch(controller=link.name, slots=5))
+        bus.branch("fake", CreateBranch(controller=link.name, slots=3))
+        with pytest.raises(RequestRejected, match=r"has 3 snapshots.*allows 4"):
+            bus.branch("fake", CreateBranch(controller=link.name, slots=2))
+        bus.snapshot("fake", link.name)
+        for create in (lambda: bus.snapshot("fake", link.name), lambda: bus.branch("fake", CreateBranch())):
+            with pytest.raises(RequestRejected, match=r"has 4 snapshots.*allows 4"):
+                create()
+        assert sum(branch.engines for branch in bus.status("fake").branches) == 3
