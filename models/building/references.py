@@ -161,8 +161,10 @@ def dangling_references(objects: Mapping[str, Mapping[str, Any]]) -> Iterator[Da
                 known |= names.get(each, {})
                 known |= {word.casefold(): word for word in types.get(each, ())}
             for name, fields in items.items():
-                for field, value in _values(name, fields, path):
+                for field, value, holder in _values(name, fields, path):
                     if isinstance(value, str) and value and value.casefold() not in known:
+                        if _has_named_type(objects, holder, path.rpartition(".")[2]):
+                            continue
                         kinds = kinds or {own.casefold(): each for each, named in objects.items() for own in named}
                         actual = kinds.get(value.casefold(), "")
                         yield DanglingReference(kind, name, field, value, tuple(lists), tuple(known.values()), actual)
@@ -174,23 +176,33 @@ def _names(objects: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]
     for kind, by_path in named_in().items():
         for path, lists in by_path.items():
             for name, fields in objects.get(kind, {}).items():
-                for _, value in _values(name, fields, path):
+                for _, value, _ in _values(name, fields, path):
                     if isinstance(value, str):
                         for each in lists:
                             names[each][value.casefold()] = value
     return names
 
 
-def _values(name: str, fields: Mapping[str, Any], path: str) -> Iterator[tuple[str, Any]]:
-    """Yield the path and the value of a field of an object; of one in a list, those of each entry."""
+def _has_named_type(objects: Mapping[str, Mapping[str, Any]], fields: Mapping[str, Any], field: str) -> bool:
+    """Whether the field beside a name is a type, and an object of that type has the name.
+
+    The object lists lack some types that the schema allows there, such as `PlantEquipmentOperation:UserDefined`.
+    """
+    stem, name = field.removesuffix("_name"), str(fields.get(field)).casefold()
+    kind = fields.get(f"{stem}_object_type") or fields.get(f"{stem}_type")
+    return any(name == own.casefold() for own in objects.get(schema.canonical_type(str(kind)) or "", ()))
+
+
+def _values(name: str, fields: Mapping[str, Any], path: str) -> Iterator[tuple[str, Any, Mapping[str, Any]]]:
+    """Yield the path and the value of a field, with the fields beside it; of one in a list, those of each entry."""
     if path == "name":
-        yield "name", name
+        yield "name", name, fields
         return
     first, _, member = path.partition(".")
     value = fields.get(first)
     if not member:
-        yield first, value
+        yield first, value, fields
     elif isinstance(value, list):
         for index, entry in enumerate(value):
             if isinstance(entry, Mapping):
-                yield f"{first}[{index}].{member}", entry.get(member)
+                yield f"{first}[{index}].{member}", entry.get(member), entry

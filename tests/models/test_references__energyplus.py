@@ -120,3 +120,23 @@ def test_describe__names_what_is_missing_in_words(kind: str, field: str, noun: s
 def test_dangling_references__design_objects_of_each_type_are_found(kind: str) -> None:
     objects = {kind: {"it": {"design_object": "Sizes"}}, f"{kind}:Design": {"SIZES": {}}}
     assert list(dangling_references(objects)) == []
+
+
+TYPES_BESIDE_NAMES = [
+    ("AirLoopHVAC:UnitaryHeatCool:VAVChangeoverBypass", "heating_coil_{}", "Coil:Heating:DX:SingleSpeed"),
+    ("AirLoopHVAC:UnitaryHeatPump:AirToAir:MultiSpeed", "heating_coil_{}", "Coil:Heating:Water"),
+    ("FaultModel:Fouling:EvaporativeCooler", "evaporative_cooler_object_{}", "EvaporativeCooler:Indirect:WetCoil"),
+    ("PlantEquipmentOperationSchemes", "control_scheme_1_{}", "PlantEquipmentOperation:UserDefined"),
+]
+"""Names beside which the schema allows a type that their object lists lack."""
+
+
+@pytest.mark.parametrize(("kind", "field", "named"), TYPES_BESIDE_NAMES)
+def test_dangling_references__object_of_the_type_beside_the_name_is_found(kind: str, field: str, named: str) -> None:
+    type_field = next(
+        name for name in (field.format("object_type"), field.format("type")) if schema.has_field(kind, name)
+    )
+    objects = {kind: {"it": {type_field: named, field.format("name"): "A"}}}
+    assert schema.schema_errors(objects, complete=False) == []
+    assert list(dangling_references(objects | {named: {"a": {}}})) == []
+    assert [each.is_fatal for each in dangling_references(objects | {named: {"b": {}}})] == [True]
