@@ -129,7 +129,7 @@ def damaged_heads(path: Path) -> Iterator[bytes]:
         for begin, bit in itertools.product({*begins[:2], begins[-1]}, range(72)):
             changed = bytearray(data)
             changed[begin + bit // 8] ^= 1 << bit % 8
-            yield changed
+            yield bytes(changed)
 
 
 def cut(
