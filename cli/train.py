@@ -74,6 +74,8 @@ def train(
         out.print(f"stopped; checkpoint at step {result.step:,}; continue with: {again}")
         raise typer.Exit(128 + received[0])
     best = "" if result.best_reward is None else f", best evaluation {result.best_reward:,.2f}"
+    if result.best_reward is None and config.evaluation:
+        best = ", without an evaluation: the training ended before the first"
     out.print(f"{result.folder}: {counted(result.step, 'step', ',')}{best}")
 
 

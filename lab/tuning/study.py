@@ -218,9 +218,9 @@ class Tuning:
         return sum(trial.state.is_finished() for trial in trials) - _repeated(trials)
 
     def total(self) -> int:
-        """Return the number of trials that the study will have; a grid has all from the beginning."""
+        """Return the number of trials that the study will have; a grid has all, and that of the defaults, at once."""
         trials = self.study.get_trials(deepcopy=False)
-        return len(trials) - _repeated(trials) if self._config.sampler == "grid" else self._config.trials or 0
+        return max(len(trials) - _repeated(trials), self._config.trials or 0)
 
     def _is_open(self) -> bool:
         """Whether the study needs another trial."""

@@ -64,6 +64,12 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def test_cli__training_that_ends_before_its_first_evaluation_says_so(tmp_path: Path) -> None:
+    late = {"every_steps": 21, "references": []}
+    output = plain(output_of("train", write(tmp_path, "t.yaml", TRAINING, evaluation=late), cwd=tmp_path))
+    assert "out: 20 steps, without an evaluation: the training ended before the first" in output
+
+
 @pytest.mark.parametrize("command", ["train", "tune"])
 def test_cli__help_has_an_example_and_fits_80_columns(command: str) -> None:
     output = output_of(command, "--help")

@@ -199,6 +199,14 @@ def test_tuning__interruptions_are_no_retries(tmp_path: Path) -> None:
     assert not tuning._may_retry(trial)
 
 
+def test_tuning__total_counts_trials_beyond_those_of_the_file(tmp_path: Path) -> None:
+    for _ in range(4):
+        open_study(study(tmp_path)).add_trial(optuna.trial.create_trial(value=1.0))
+    tuning = Tuning(study(tmp_path, trials=3))
+    assert (tuning.ended(), tuning.total()) == (4, 4)
+    assert Tuning(study(tmp_path, trials=7)).total() == 7
+
+
 @pytest.mark.filterwarnings("ignore:Heartbeat of storage")
 def test_tuning__invalid_combination_fails_its_trial_alone(tmp_path: Path) -> None:
     ended: list[Any] = []
