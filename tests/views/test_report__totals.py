@@ -141,6 +141,7 @@ def test_report__result_never_states_zero_percent_less(comparison: Comparison, o
         (["baseline", "rbc"], ["baseline", "rbc"]),
         (["baseline", "experiments/mine.py:Mine"], ["baseline", "Mine"]),
         (["ppo:runs/1/model.zip", "ppo:runs/2/model.zip"], ["model.zip 1", "model.zip 2"]),
+        (["baseline", "a/x.py:C", "rbc", "b/x.py:C"], ["baseline", "C 1", "rbc", "C 2"]),
         (["package.module:" + "Long" * 9], ["LongLongLongLongLongLongLon\N{HORIZONTAL ELLIPSIS}"]),
     ],
 )

@@ -103,7 +103,10 @@ def short_names(names: Sequence[str]) -> list[str]:
         text = name.rpartition(":")[2]
         text = text.rpartition("/")[2] or name
         short.append(text if len(text) <= _MAX_NAME else f"{text[: _MAX_NAME - 1]}\N{HORIZONTAL ELLIPSIS}")
-    unique = [f"{text} {place + 1}" if short.count(text) > 1 else text for place, text in enumerate(short)]
+    unique = [
+        f"{text} {short[: place + 1].count(text)}" if short.count(text) > 1 else text
+        for place, text in enumerate(short)
+    ]
     return [
         name if len(name) <= _MAX_NAME and names.count(name) == 1 and ":" not in name else text
         for name, text in zip(names, unique, strict=True)
