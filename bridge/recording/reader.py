@@ -265,7 +265,7 @@ class RecordingReader:
     def _describe_early_end(self, at: int) -> None:
         """Set why no message follows byte `at`, which is not the end of a completed file."""
         if not is_cut_off(self._file, at, self._size):
-            text = f"it is damaged at byte {at:,}, and complete data follow; what is before it is read"
+            text = f"it is damaged at byte {at:,}, and {self._size - at:,} bytes follow; what is before it is read"
             self.end.text, self.end.is_damaged = text, True
         elif self._is_locked():
             self.end.text = "it is still being recorded"

@@ -99,7 +99,7 @@ def test_recording__damaged_length_is_not_described_as_the_end_of_a_killed_node(
         steps, reader = read(tmp_path / "damaged.mcap")
         assert steps == [*range(100)]
         assert reader.end.is_damaged
-        assert f"it is damaged at byte {begin:,}, and complete data follow" in reader.end.text
+        assert f"it is damaged at byte {begin:,}, and {end - begin:,} bytes follow" in reader.end.text
 
 
 def test_recording__missing_chunk_is_a_gap(whole: Path, tmp_path: Path) -> None:
