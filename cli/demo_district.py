@@ -12,7 +12,7 @@ from zenostat.cli.console import out, progress
 from zenostat.cli.demo_programs import remaining_lines, run_episode, start_program, write_demo_report
 from zenostat.cli.reports import command_line
 from zenostat.cli.tables import show
-from zenostat.topics.extras import import_extra, requires_extra
+from zenostat.topics.extras import requires_extra
 
 if TYPE_CHECKING:
     from zenostat.metrics.trajectory import Trajectory
@@ -39,9 +39,12 @@ def demo_district(folder: Path) -> None:
     from zenostat.views.live.viewer import NO_VULKAN, has_vulkan
     from zenostat.views.report import Comparison, Run
 
-    with requires_extra("recording", "the district's recording", "mcap and zstandard"):
+    libraries = "power-grid-model, matplotlib, mcap and zstandard"
+    with requires_extra("grid,plots,recording", "the demonstration of a district", libraries):
+        import matplotlib  # noqa: F401
+        import power_grid_model  # noqa: F401
+
         from zenostat.cosim.verify_recording import verify_district
-    import_extra("power_grid_model", "grid", "the district's feeder")
     file = copy_files(folder)
     live, live_picture = folder / "district.rrd", folder / "district-live.png"
     recording, report, picture = folder / "district.mcap", folder / "district.html", folder / "district.png"
