@@ -79,6 +79,7 @@ def demo(
             local_node = LocalNode(settings, Affinity.SEPARATE_CORES)
         stack.callback(local_node.close)
         outputs: list[object] = ["--save", recording]
+        screenshot.unlink(missing_ok=True)  # of an earlier run
         if has_vulkan():
             outputs += ["--screenshot", screenshot, "--at", f"{end}T{PICTURE_TIME}"]
         monitor = start_program("monitor", "--connect", local_node.endpoint, *outputs, "--once", wait=True)
@@ -101,6 +102,8 @@ def demo(
         out.print(f"monitor: {line}")
     if not has_vulkan():
         out.print(f"no screenshot: {NO_VULKAN}")
+    elif not screenshot.exists():
+        out.print(f"no screenshot; to try it again: zenostat view {recording} --screenshot {screenshot}")
     for line in notes:
         out.print(f"report: {line}")
     files = {"recording": recording, "report": report, "screenshot": screenshot}
