@@ -41,7 +41,7 @@ def demo_district(folder: Path) -> None:
 
     libraries = "power-grid-model, matplotlib, mcap and zstandard"
     with requires_extra("grid,plots,recording", "the demonstration of a district", libraries):
-        import matplotlib  # noqa: F401
+        import matplotlib.figure  # noqa: F401
         import power_grid_model  # noqa: F401
 
         from zenostat.cosim.verify_recording import verify_district
