@@ -111,6 +111,14 @@ def test_description__id_tells_an_actuator_from_a_sensor_of_its_name() -> None:
     assert [point["name"] for point in points] == ["temp", "valve", "temp", "pump"]
 
 
+def test_description__outdoor_temperature_of_a_district_names_its_plant() -> None:
+    names = ("west.outdoor", "east.outdoor")
+    of = manifest(sensors=[sensor(name, "Site Outdoor Air Drybulb Temperature") for name in names])
+    assert describe(of, None).content["outdoor_label"] == "Outdoors, west"
+    of = manifest(sensors=[sensor("outdoor", "Site Outdoor Air Drybulb Temperature")])
+    assert describe(of, None).content["outdoor_label"] == "Outdoors"
+
+
 def test_schematic__values_of_nodes_and_components_stand_at_their_component() -> None:
     building = Systems(
         components=(

@@ -87,6 +87,7 @@ def describe(manifest: Manifest, geometry: Geometry | None, systems: Systems | N
             for zone in zones
         ],
         "outdoor": point_roles.outdoor_temperature,
+        "outdoor_label": _outdoor_label(manifest, point_roles.outdoor_temperature),
         "facility": _power(point_roles.facility_power),
         "hvac": _power(point_roles.hvac_power),
         "storeys": storeys(geometry, places) if geometry is not None else [],
@@ -98,6 +99,12 @@ def describe(manifest: Manifest, geometry: Geometry | None, systems: Systems | N
 def _actuator_place(manifest: Manifest, index: int | None) -> int | None:
     """Return the index of an actuator among all points of the page: sensors, meters, actuators."""
     return None if index is None else len(manifest.points) + index
+
+
+def _outdoor_label(manifest: Manifest, index: int | None) -> str:
+    """Return the label of the outdoor temperature, with the plant of a district whose point it is."""
+    plant = "" if index is None else manifest.points[index].name.rpartition(".")[0]
+    return f"Outdoors, {plant}" if plant else "Outdoors"
 
 
 def _power(source: PowerSource | None) -> dict[str, Any] | None:

@@ -157,6 +157,7 @@ def summary(
         entry["uncomfortable_occupied"] = sum(bool(zone["deviation"]) and zone["occupied"] for zone in zones)
         outdoor, power = description.roles.outdoor_temperature, description.roles.facility_power
         entry["outdoor"] = None if outdoor is None else values[outdoor]
+        entry["outdoor_label"] = description.content["outdoor_label"]
         entry["power_kw"] = None if power is None else scaled(values[power.index], power.to_kw)
         manual = [name for name in state["sources"] if name]
         entry["sources"] = sorted({manual[i - 1] for i in state["source"] if 0 < i <= len(manual)})

@@ -238,9 +238,9 @@ export class NodePage {
   tiles() {
     this.tileValues = new Map();
     const tile = (name, title) => { const value = h("dd"); this.tileValues.set(name, value); return h("div", { class: "tile", "data-tile": name }, h("dt", {}, title), value); };
-    const { outdoor, facility, hvac, zones } = this.description;
+    const { outdoor, outdoor_label: outdoors, facility, hvac, zones } = this.description;
     return h("dl", { class: "tiles" },
-      outdoor !== null && tile("outdoor", "Outdoors"),
+      outdoor !== null && tile("outdoor", outdoors),
       facility && tile("facility", facility.label),
       hvac && tile("hvac", hvac.label),
       zones.length > 0 && tile("comfort", "In the band"),

@@ -68,7 +68,7 @@ export class Overview {
         h("dl", { class: "facts" },
           fact("Pace", pace(entry)),
           fact("Power", entry.power_kw !== null && entry.power_kw !== undefined && withUnit(entry.power_kw, "kW")),
-          fact("Outdoors", entry.outdoor !== null && entry.outdoor !== undefined && withUnit(entry.outdoor, "°C")),
+          fact(entry.outdoor_label, entry.outdoor !== null && entry.outdoor !== undefined && withUnit(entry.outdoor, "°C")),
           fact("In the band", entry.zones ? `${entry.comfortable} of ${counted(entry.zones, "zone")}` : null),
           fact("Controllers", entry.controllers.map((each) => each.state === "connected" ? each.controller : `${each.controller} (${words(each.state)})`).join(", ")),
           fact("Set by", entry.sources && (entry.sources.join(", ") || "baseline control")),
