@@ -2,7 +2,7 @@
 
 import { Failure, copyText, get, post, toast } from "./api.js";
 import { BuilderPoints } from "./builder_points.js";
-import { fill, h, panel, setText } from "./dom.js";
+import { fill, h, openDialog, panel, setText } from "./dom.js";
 import { counted } from "./format.js";
 import { field, names, resolve } from "./schema_form.js";
 import { address, change, link, view } from "./view.js";
@@ -203,13 +203,9 @@ export class BuilderPage {
   replaces(text) {
     if (!text.endsWith("replace it")) return Promise.resolve(false);
     return new Promise((answer) => {
-      const dialog = h("dialog", { "aria-label": "Replace the scenario" });
-      const end = (value) => { answer(value); dialog.close(); };
-      fill(dialog, h("div", { class: "stack" }, h("h2", {}, "Replace the scenario"), h("p", {}, `${text.slice(0, 1).toUpperCase()}${text.slice(1)}.`),
-        h("div", { class: "row end" }, h("button", { onclick: () => end(false) }, "Cancel"), h("button", { class: "primary", onclick: () => end(true) }, "Replace"))));
-      dialog.addEventListener("close", () => { answer(false); dialog.remove(); });
-      document.body.append(dialog);
-      dialog.showModal();
+      const dialog = openDialog({ title: "Replace the scenario", action: "Replace", submit: () => answer(true) },
+        h("p", {}, `${text.slice(0, 1).toUpperCase()}${text.slice(1)}.`));
+      dialog.addEventListener("close", () => answer(false));
     });
   }
 

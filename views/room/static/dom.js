@@ -65,3 +65,15 @@ export function panel(title, attributes, ...children) {
   return h("section", { class: "panel", "aria-labelledby": id, ...attributes },
     h("h2", { id }, title), ...children);
 }
+
+/** Open a dialog: content between a heading and *Cancel*; the button `action` closes it and calls `submit`. */
+export function openDialog({ title, action = title, label = title, submit }, ...content) {
+  const dialog = h("dialog", { "aria-label": label });
+  const accept = (event) => { event.preventDefault(); dialog.close(); submit(); };
+  fill(dialog, h("form", { class: "stack", onsubmit: accept }, h("h2", {}, title), content,
+    h("div", { class: "row end" }, h("button", { type: "button", onclick: () => dialog.close() }, "Cancel"), h("button", { class: "primary" }, action))));
+  dialog.addEventListener("close", () => dialog.remove());
+  document.body.append(dialog);
+  dialog.showModal();
+  return dialog;
+}

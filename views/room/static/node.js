@@ -1,10 +1,10 @@
 // The page of one node.
 
 import { get, nodePath, operate } from "./api.js";
-import { fill, h, icon, panel, setAttribute, setText } from "./dom.js";
+import { fill, h, icon, openDialog, panel, setAttribute, setText } from "./dom.js";
 import { counted, dateTime, rate, withUnit } from "./format.js";
 import { nodeState, pace } from "./overview.js";
-import { AlarmPanel, ControllerPanel, EventPanel, FaultPanel, confirmDialog, recordDialog } from "./panels.js";
+import { AlarmPanel, ControllerPanel, EventPanel, FaultPanel, recordDialog } from "./panels.js";
 import { Plans } from "./plan.js";
 import { PointPanel } from "./point.js";
 import { PointTable, ZoneTable } from "./points.js";
@@ -226,7 +226,8 @@ export class NodePage {
     this.speedText = h("output", { class: "speed" });
     this.recordButton = h("button", forOperators({ class: "transport", onclick: () => this.toggleRecording() }), icon("record"));
     const reset = h("button", forOperators({ class: "transport", "aria-label": "Reset", title: "Begin a new episode",
-      onclick: () => confirmDialog("Reset", `End this episode of ${this.node} and begin a new one? Its history starts anew.`, () => operate(this.node, "reset")) }), icon("reset"));
+      onclick: () => openDialog({ title: "Reset", submit: () => operate(this.node, "reset") },
+        h("p", {}, `End this episode of ${this.node} and begin a new one? Its history starts anew.`)) }), icon("reset"));
     return h("section", { class: "bar panel", "aria-label": "Time" },
       h("div", { class: "bar-time" }, this.time, h("div", { class: "row" }, this.progress, this.steps)),
       h("div", { class: "bar-state" }, this.chip, this.paceText),

@@ -1,7 +1,7 @@
 // Panels of a node: alarms, events, controllers, faults.
 
 import { operate, toast } from "./api.js";
-import { fill, h, setText } from "./dom.js";
+import { fill, h, openDialog, setText } from "./dom.js";
 import { bytes, duration, exact, num, shortTime, withUnit, words } from "./format.js";
 import { forOperators, mayChange, refusal, refusalNote } from "./session.js";
 import { change } from "./view.js";
@@ -53,15 +53,8 @@ export class AlarmPanel {
 
   ask(title, alarm, act) {
     const comment = h("input", { id: "comment", maxlength: 500, autocomplete: "off" });
-    const dialog = h("dialog", { "aria-label": title });
-    const submit = async (event) => { event.preventDefault(); dialog.close(); await act(comment.value); };
-    fill(dialog, h("form", { class: "stack", onsubmit: submit }, h("h2", {}, title), h("p", {}, alarm.alarm),
-      h("label", { for: "comment" }, "Comment, for the record"), comment,
-      h("div", { class: "row end" }, h("button", { type: "button", onclick: () => dialog.close() }, "Cancel"), h("button", { class: "primary" }, title))));
-    dialog.addEventListener("close", () => dialog.remove());
-    document.body.append(dialog);
-    dialog.showModal();
-    comment.focus();
+    openDialog({ title, submit: () => act(comment.value) }, h("p", {}, alarm.alarm),
+      h("label", { for: "comment" }, "Comment, for the record"), comment);
   }
 }
 
@@ -197,29 +190,8 @@ export function recordDialog(node, state) {
   const now = new Date().toISOString().slice(0, 16).replace(/[:T]/g, "-");
   const path = h("input", { id: "path", required: true, value: `/tmp/${node}-${now}.mcap`, spellcheck: "false" });
   const immediately = h("input", { id: "now", type: "checkbox", checked: true });
-  const dialog = h("dialog", { "aria-label": "Record" });
-  const submit = async (event) => {
-    event.preventDefault();
-    dialog.close();
-    await operate(node, "record", { path: path.value, now: immediately.checked });
-  };
-  fill(dialog, h("form", { class: "stack", onsubmit: submit }, h("h2", {}, "Record"),
+  openDialog({ title: "Record", submit: () => operate(node, "record", { path: path.value, now: immediately.checked }) },
     h("label", { for: "path" }, "File on the node's machine"), path,
     h("label", { class: "row" }, immediately, "at once (otherwise from the next reset, so that it can be verified)"),
-    state.recording && h("p", { class: "muted" }, `Latest: ${state.recording.path}, ${words(state.recording.state)}`),
-    h("div", { class: "row end" }, h("button", { type: "button", onclick: () => dialog.close() }, "Cancel"), h("button", { class: "primary" }, "Record"))));
-  dialog.addEventListener("close", () => dialog.remove());
-  document.body.append(dialog);
-  dialog.showModal();
+    state.recording && h("p", { class: "muted" }, `Latest: ${state.recording.path}, ${words(state.recording.state)}`));
 }
-
-export function confirmDialog(title, text, action) {
-  const dialog = h("dialog", { "aria-label": title });
-  fill(dialog, h("form", { class: "stack", onsubmit: (event) => { event.preventDefault(); dialog.close(); action(); } },
-    h("h2", {}, title), h("p", {}, text),
-    h("div", { class: "row end" }, h("button", { type: "button", onclick: () => dialog.close() }, "Cancel"), h("button", { class: "primary" }, title))));
-  dialog.addEventListener("close", () => dialog.remove());
-  document.body.append(dialog);
-  dialog.showModal();
-}
-

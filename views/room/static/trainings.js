@@ -2,7 +2,7 @@
 // the recordings in their folder, to replay.
 
 import { get, post, toast } from "./api.js";
-import { fill, h, setAttribute, setText } from "./dom.js";
+import { fill, h, openDialog, setAttribute, setText } from "./dom.js";
 import { bytes, counted, num, words } from "./format.js";
 import { forOperators } from "./session.js";
 import { COLORS, chart, swatch } from "./trends.js";
@@ -156,17 +156,12 @@ export class TrainingsPage {
 
   /** Ask for a node's name and speed, and start it. */
   start(operation, name, title, text) {
-    const dialog = h("dialog", { "aria-label": `${title}: ${name}` });
     const proposed = name.split("/").at(-1).replace(/\.mcap$/, "").replace(/[^A-Za-z0-9_.-]/g, "_").replace(/^[.-]+/, "").slice(0, 128);
     const node = h("input", { id: "start-node", required: true, maxlength: 128, value: proposed || "node", spellcheck: "false" });
     const speed = h("input", { id: "start-speed", type: "number", min: 0, step: "any", required: true, value: 3600 });
-    const submit = (event) => { event.preventDefault(); dialog.close(); this.send(operation, { name, node: node.value, speed: Number(speed.value) }); };
-    fill(dialog, h("form", { class: "stack", onsubmit: submit }, h("h2", {}, title), h("p", { class: "code" }, name), h("p", {}, text),
-      h("label", { for: "start-node" }, "Name of the node"), node, h("label", { for: "start-speed" }, "Times the wall clock"), speed,
-      h("div", { class: "row end" }, h("button", { type: "button", onclick: () => dialog.close() }, "Cancel"), h("button", { class: "primary" }, "Start"))));
-    dialog.addEventListener("close", () => dialog.remove());
-    document.body.append(dialog);
-    dialog.showModal();
+    const submit = () => this.send(operation, { name, node: node.value, speed: Number(speed.value) });
+    openDialog({ title, action: "Start", label: `${title}: ${name}`, submit }, h("p", { class: "code" }, name), h("p", {}, text),
+      h("label", { for: "start-node" }, "Name of the node"), node, h("label", { for: "start-speed" }, "Times the wall clock"), speed);
   }
 
   /** Nodes that were started from this page. */
