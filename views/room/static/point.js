@@ -5,7 +5,7 @@ import { fill, h, icon, setText } from "./dom.js";
 import { duration, hoursBefore, num, shortTime, shown, withUnit, words } from "./format.js";
 import { eventItem } from "./panels.js";
 import { forOperators, mayChange, refusalNote } from "./session.js";
-import { chart } from "./trends.js";
+import { chart, loadHistory } from "./trends.js";
 import { change, view } from "./view.js";
 
 const PRIORITIES = { 1: "manual life safety", 2: "automatic life safety", 5: "critical equipment", 6: "minimum on/off time", 8: "manual operator", 10: "controllers", 16: "lowest" };
@@ -90,20 +90,16 @@ export class PointPanel {
 
   async trend() {
     if (!this.description.history_samples || !this.state?.time) return;
-    const begin = hoursBefore(this.state.time, 24, this.description.begin);
-    const query = new URLSearchParams({ point: this.point.id, max: 400 });
-    if (begin) query.set("from", begin);
+    const { point } = this, from = hoursBefore(this.state.time, 24, this.description.begin);
     try {
-      const answer = await get(`${nodePath(this.node, "history")}?${query}`);
-      const [{ values, lows, highs }] = answer.points;
-      const scale = (list) => list && list.map((value) => shown(this.point, value));
+      const { time, values: [values], lows: [lows], highs: [highs] } = await loadHistory(this.node, [point], { max: 400, from });
       this.plot?.destroy();
       fill(this.canvas);
       if (!this.canvas.isConnected || values.every((value) => value === null)) return;
-      this.plot = chart(this.canvas, { time: answer.time_ms.map((each) => each / 1000), height: 170,
-        series: [{ label: this.point.label, unit: this.point.unit, color: "#2878dc", values: scale(values), lows: scale(lows), highs: scale(highs), stepped: this.point.kind === "actuator" }] });
+      this.plot = chart(this.canvas, { time, height: 170,
+        series: [{ label: point.label, unit: point.unit, color: "#2878dc", values, lows, highs, stepped: point.kind === "actuator" }] });
       this.canvas.setAttribute("role", "img");
-      this.canvas.setAttribute("aria-label", `${this.point.label} in the last day`);
+      this.canvas.setAttribute("aria-label", `${point.label} in the last day`);
     } catch { /* a reset in between; the next sample draws it */ }
   }
 

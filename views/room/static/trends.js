@@ -126,6 +126,15 @@ function drawExtremes(plot, place, series) {
   ctx.restore();
 }
 
+/** Request the history of some points of a node: times in s, and values and extremes in the units that are shown. */
+export async function loadHistory(node, points, settings) {
+  const query = new URLSearchParams(points.map((point) => ["point", point.id]));
+  for (const [name, value] of Object.entries(settings)) if (value !== null) query.set(name, value);
+  const { time_ms: times, points: columns, ...more } = await get(`${nodePath(node, "history")}?${query}`);
+  const scaled = (name) => columns.map((each, column) => each[name]?.map((value) => shown(points[column], value)));
+  return { ...more, time: times.map((each) => each / 1000), values: scaled("values"), lows: scaled("lows"), highs: scaled("highs") };
+}
+
 export class Trends {
   constructor(root, node, description) {
     this.node = node;
@@ -226,7 +235,10 @@ export class Trends {
   append(data, state) {
     data.last = state.sample_step;
     data.time.push(seconds(state.time));
-    data.names.forEach((name, column) => data.values[column].push(state.values[this.byName.get(name).place] ?? null));
+    data.names.forEach((name, column) => {
+      const { point, place } = this.byName.get(name);
+      data.values[column].push(shown(point, state.values[place]));
+    });
     const now = this.limits();
     data.band.low.push(now.low);
     data.band.high.push(now.high);
@@ -262,18 +274,12 @@ export class Trends {
     if (!names.length || !this.hasHistory || this.isClosed) { this.draw(); return; }
     if (!this.state) return;
     this.loading = true;
-    const query = new URLSearchParams(names.map((name) => ["point", name]));
-    query.set("max", MAX_SAMPLES);
-    query.set("band", this.selected() ?? "all");
     const [from, to] = this.span();
-    if (from) query.set("from", from);
-    if (to) query.set("to", to);
     try {
-      const answer = await get(`${nodePath(this.node, "history")}?${query}`);
+      const points = names.map((name) => this.byName.get(name).point);
+      const history = await loadHistory(this.node, points, { max: MAX_SAMPLES, band: this.selected() ?? "all", from, to });
       if (key !== this.key) return;
-      this.data = { names, stride: answer.stride, last: answer.last_step, time: answer.time_ms.map((each) => each / 1000),
-        values: answer.points.map((each) => each.values), lows: answer.points.map((each) => each.lows), highs: answer.points.map((each) => each.highs),
-        band: answer.band };
+      this.data = { ...history, names, last: history.last_step };
       this.problem = "";
     } catch (error) { this.problem = error.message; } finally { this.loading = false; }
     if (!this.isClosed) this.draw();
@@ -285,11 +291,10 @@ export class Trends {
     const isZones = data.names.every((name) => zoneOf.has(name));
     return data.names.map((name, column) => {
       const { point } = this.byName.get(name);
-      const scale = (values) => values && values.map((value) => shown(point, value));
       const isSetpoint = point.kind === "actuator" || / setpoint$/i.test(point.label);
       return { name, label: isZones ? zoneOf.get(name).name : point.label, unit: point.unit,
         color: isZones ? zoneOf.get(name).color : COLORS[column % COLORS.length],
-        values: scale(data.values[column]), lows: scale(data.lows?.[column]), highs: scale(data.highs?.[column]),
+        values: data.values[column], lows: data.lows?.[column], highs: data.highs?.[column],
         stepped: isSetpoint || point.unit === "people", dash: isSetpoint ? [6, 4] : undefined };
     });
   }
