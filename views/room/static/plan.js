@@ -18,6 +18,9 @@ export class Plans {
     this.description = description;
     this.zones = new Map();
     const storeys = [...description.storeys].reverse();
+    const all = storeys.flatMap((each) => each.zones.flatMap((zone) => zone.outlines.flat()));
+    const xs = all.map(([x]) => x), ys = all.map(([, y]) => y);
+    this.bounds = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
     const figures = storeys.map((storey, place) => this.storey(storey, storeys.length - place, select));
     const legend = h("ul", { class: "scale", "aria-label": "Colors" }, SCALE.map(([color, text]) =>
       h("li", {}, s("svg", { viewBox: "0 0 12 12", "aria-hidden": "true" }, s("rect", { width: 12, height: 12, rx: 3, fill: color })), text)));
@@ -25,9 +28,7 @@ export class Plans {
   }
 
   storey(storey, number, select) {
-    const all = this.description.storeys.flatMap((each) => each.zones.flatMap((zone) => zone.outlines.flat()));
-    const xs = all.map(([x]) => x), ys = all.map(([, y]) => y);
-    const [left, right, bottom, top] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
+    const [left, right, bottom, top] = this.bounds;
     const margin = 0.02 * Math.max(right - left, top - bottom);
     const [width, height] = [right - left + 2 * margin, top - bottom + 2 * margin];
     const unit = Math.max(width, height * 1.6) / 100;
