@@ -119,6 +119,11 @@ class Access:
         self._tokens: dict[str, tuple[str, float]] = {}
         self._sessions: dict[str, Session] = {}
 
+    @property
+    def cookie_settings(self) -> dict[str, Any]:
+        """Settings of the cookie: no script reads it, and no other site's request carries it."""
+        return {"path": "/", "httponly": True, "samesite": "strict", "secure": self.scheme == "https"}
+
     def role(self, name: str) -> Role | None:
         """Return what a user may do now: `operator` or `monitor`; None for nothing."""
         return Role.OPERATOR if self._users is None else self._users.role(name)

@@ -215,15 +215,13 @@ class Room:
         identity, session = signed_in
         self.audit.add(session.operator, "sign in", "", "signed in", accepted=True)
         response = JSONResponse({"operator": session.operator})
-        is_secure = self._access.scheme == "https"
-        response.set_cookie(self._access.cookie, identity, path="/", httponly=True, samesite="strict", secure=is_secure)
+        response.set_cookie(self._access.cookie, identity, **self._access.cookie_settings)
         return response
 
     async def _sign_out(self, request: Request) -> Response:
         self._access.sign_out(request.cookies.get(self._access.cookie))
         response = JSONResponse({})
-        is_secure = self._access.scheme == "https"
-        response.delete_cookie(self._access.cookie, path="/", httponly=True, samesite="strict", secure=is_secure)
+        response.delete_cookie(self._access.cookie, **self._access.cookie_settings)
         return response
 
     async def _who_am_i(self, request: Request) -> Response:
