@@ -36,8 +36,7 @@ def start_all(items: Iterable[T], start: Callable[[T], E]) -> list[E]:
         for item in items:
             started.append(start(item))  # noqa: PERF401  # a comprehension would lose those started so far
     except BaseException:
-        for client in started:
-            client.close()
+        close_all(started)
         raise
     return started
 

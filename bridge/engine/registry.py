@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Protocol
 
 from zenostat.bridge.runtime.contention import CorePlacement
@@ -17,7 +19,7 @@ _CLOSING_UNRESPONSIVE_S = 1.0
 class Interruptible(Protocol):
     """An engine."""
 
-    def interrupt(self) -> None:
+    def interrupt(self, reason: str = ...) -> None:
         """Kill the process; thread-safe."""
 
     def order_close(self) -> bool:
@@ -42,6 +44,8 @@ class EngineRegistry:
         self._unresponsive_s = unresponsive_s
         self._clients: set[Interruptible] = set()
         self._lock = threading.Lock()
+        self._copies: list[Interruptible] = []
+        self._copying_thread, self._cancelled = 0, ""
         self.closing = False
         self.placement: CorePlacement | None = None
 
@@ -51,19 +55,44 @@ class EngineRegistry:
         return min(self._unresponsive_s, _CLOSING_UNRESPONSIVE_S) if self.closing else self._unresponsive_s
 
     def check_open(self) -> None:
-        """Raise `EngineDied` if the node is ending and no engine may start."""
+        """Raise `EngineDied` if the node is ending, or the copy is cancelled, and no engine may start."""
         if self.closing:
             raise EngineDied("the node is ending and starts no more engines")
+        if self._cancelled and threading.get_ident() == self._copying_thread:
+            raise EngineDied(self._cancelled)
 
     def add(self, client: Interruptible) -> None:
         """Register an engine, so that `interrupt` kills it."""
         with self._lock:
             self._clients.add(client)
+            if threading.get_ident() == self._copying_thread:
+                self._copies.append(client)
 
     def remove(self, client: Interruptible) -> None:
         """Unregister an engine that has ended; idempotent."""
         with self._lock:
             self._clients.discard(client)
+
+    @contextmanager
+    def copying(self) -> Iterator[None]:
+        """Let `cancel_copying` end what starts in this thread within the `with` statement."""
+        with self._lock:
+            self._copying_thread = threading.get_ident()
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._copying_thread, self._cancelled = 0, ""
+                self._copies.clear()
+
+    def cancel_copying(self, reason: str) -> None:
+        """Kill the engines of the copy that is being made, if any, and let no more of it start; thread-safe."""
+        with self._lock:
+            if not self._copying_thread:
+                return
+            self._cancelled, copies = reason, [*self._copies]
+        for client in copies:
+            client.interrupt(reason)
 
     def close(self) -> None:
         """Let no more engines start, and shorten the time allowed to unresponsive ones."""

@@ -18,6 +18,7 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING
 
+from zenostat.bridge.engine.registry import EngineRegistry
 from zenostat.bridge.exchange.actuator_commands import CommandSnapshot
 from zenostat.bridge.exchange.step_exchange import StepExchange
 from zenostat.bridge.node.fault_injection import NO_FAULTS, FaultState
@@ -161,10 +162,14 @@ class BranchManager:
         folder: for the files of the copies; the caller removes it.
         cpus: where their threads run; empty leaves it to the system.
         limit: maximum number of snapshots and of slots of branches at a time.
+        registry: of the node's engines.
     """
 
-    def __init__(self, server: NodeServer, folder: Path, *, cpus: tuple[int, ...], limit: int) -> None:
+    def __init__(
+        self, server: NodeServer, folder: Path, *, cpus: tuple[int, ...], limit: int, registry: EngineRegistry
+    ) -> None:
         self._server = server
+        self._registry = registry
         self._cpus = cpus
         self._folder = folder
         self._limit = limit
@@ -177,11 +182,12 @@ class BranchManager:
 
         Raises:
             RequestRejected: no episode is running, or the limit is reached.
-            ForkFailed: the plant cannot be copied.
+            ForkFailed, SimulatorError: the plant cannot be copied, or `cancel_copying` was called.
         """
         name, folder = self._allocate("s")
         try:
-            self.snapshots[name] = Snapshot.of(self._server, name, request.controller, folder)
+            with self._registry.copying():
+                self.snapshots[name] = Snapshot.of(self._server, name, request.controller, folder)
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
             raise
@@ -205,7 +211,7 @@ class BranchManager:
 
         Raises:
             RequestRejected: no such slot or snapshot, no episode is running, or the limit is reached.
-            ForkFailed: the plant cannot be copied.
+            ForkFailed, SimulatorError: the plant cannot be copied, or `cancel_copying` was called.
         """
         parent = self._server
         parent.check_slot(request.slot)
@@ -215,12 +221,17 @@ class BranchManager:
             undo.callback(shutil.rmtree, folder, ignore_errors=True)
             full_name = keys.check_name(f"{parent.manifest.node}.{name}", "a branch's name")
             origin = snapshot.plant if snapshot is not None else parent.plant
-            plant = _fork(origin, request, folder)
+            with self._registry.copying():
+                plant = _fork(origin, request, folder)
             undo.callback(plant.close)
             server = self._branch_server(full_name, plant, request, snapshot, folder)
             branch = self._start(Branch(server, request.controller, folder, self._cpus, self._on_end))
             undo.pop_all()
         return branch
+
+    def cancel_copying(self, reason: str) -> None:
+        """Give up the snapshot or the branch that is being created, if any; thread-safe."""
+        self._registry.cancel_copying(reason)
 
     def _start(self, branch: Branch) -> Branch:
         self.branches[branch.name] = branch

@@ -105,14 +105,16 @@ class EpisodeManager:
         state = self._server.exchange.state
         if self._server.stopping:
             return
-        self._server.trials.interrupt(f"a reset had waited for {self._patience_s:g} s for the end of a trial")
+        waited = f"a reset had waited for {self._patience_s:g} s for the end of"
+        self._server.trials.interrupt(f"{waited} a trial")
+        self._branches.cancel_copying(f"{waited} a copy")
         if state not in (State.RUNNING, State.STARTING):
             return
         if not isinstance(self._plant, AbandonablePlant):
             self._plant.interrupt()
             return
         what, is_starting = ("start", True) if state is State.STARTING else ("timestep", False)
-        reason = f"a reset had waited for {self._patience_s:g} s for the end of its {what}"
+        reason = f"{waited} its {what}"
         self._plant.abandon(reason, is_starting=is_starting)
 
     def _reset(self, reset: Reset) -> Message:

@@ -237,7 +237,9 @@ class Node:
         if settings.faults is not None and resumption is None:
             self.server.inject(read_plan(settings.faults))
         self._control_access()
-        self.branches = BranchManager(self.server, self._folder, cpus=self._cpus, limit=settings.branches)
+        self.branches = BranchManager(
+            self.server, self._folder, cpus=self._cpus, limit=settings.branches, registry=self._registry
+        )
         self._close.callback(self.branches.close)
         self._has_server = True
         self._episodes = EpisodeManager(

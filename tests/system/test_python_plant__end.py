@@ -18,7 +18,7 @@ import zenostat
 from zenostat import ControllerLink
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import EngineDied
-from zenostat.topics.messages import Ack, CreateBranch, ErrorReply, Message, Reset, State, Stop
+from zenostat.topics.messages import Ack, CreateBranch, ErrorReply, Message, Reset, State, Stop, TakeSnapshot
 
 pytestmark = pytest.mark.usefixtures("scratch")
 
@@ -170,6 +170,45 @@ def test_python_plant__error_states_that_a_reset_gave_the_timestep_up(scratch: P
         bus.reset("office", Reset())
         with pytest.raises(EngineDied, match="a reset had waited for 1 s for the end of its timestep"):
             link.receive()
+
+
+COPIED = """
+class Plant:
+    step_s, duration_s = 60.0, 3600.0
+    sensors, actuators = {"level": "m"}, {"valve": "1"}
+
+    def reset(self, seed):
+        return {"level": 0.0}
+
+    def step(self, commands):
+        return {"level": 1.0}
+
+    def save(self):
+        return None
+
+    def restore(self, state):
+        while True:
+            pass
+"""
+
+
+@pytest.mark.parametrize("topic", [keys.BRANCH, keys.SNAPSHOT], ids=lambda topic: topic.key.rpartition("/")[2])
+def test_python_plant__reset_gives_up_a_copy_that_is_being_created(scratch: Path, topic: keys.Topic) -> None:
+    (scratch / "plant.py").write_text(COPIED)
+    settings = {"plant": f"{scratch / 'plant.py'}:Plant", "unresponsive_s": 1.0}
+    with node_on_bus(scratch / "node", **settings) as (node, bus), bus.controller("office") as link:
+        link.reset()
+        kept = hosts_of(node.pid)
+        kind = CreateBranch if topic is keys.BRANCH else TakeSnapshot
+        replies = request(bus, topic, kind(controller=link.name))
+        until(lambda: len(hosts_of(node.pid)) > len(kept), "a process for the copy starts")
+        assert link.reset(seed=1).step == 0
+        error = codec.decode(ErrorReply, replies.get(timeout=60).ok.payload.to_bytes())
+        assert error.error == "EngineDied"
+        assert "a reset had waited for 1 s for the end of a copy" in error.message
+        assert hosts_of(node.pid) == kept
+        link.send()
+        assert link.receive()["level"] == 1.0
 
 
 ENDS = {
