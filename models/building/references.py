@@ -55,6 +55,12 @@ _TOLERATED = frozenset((("Sizing:Plant", "plant_or_condenser_loop_name"),))
 _IGNORED = ("Output", "UtilityCost:", "LifeCycleCost:", "ComponentCost:")
 """Types that do not act on the simulation, whose references do not matter."""
 
+_ZONE_OR_SPACE = (
+    frozenset(("SpaceNames", "ZoneNames")),
+    frozenset(("SpaceAndSpaceListNames", "ZoneAndZoneListNames")),
+)
+"""Object lists of fields that EnergyPlus reads after it has created spaces of its own."""
+
 _NOUNS = {
     "ScheduleNames": "schedule",
     "MaterialName": "material",
@@ -154,9 +160,10 @@ def dangling_references(objects: Mapping[str, Mapping[str, Any]]) -> Iterator[Da
     names = _names(objects)
     kinds: dict[str, str] = {}
     types = type_lists()
+    remainders = {name.casefold(): name for name in _remainders(objects)}
     for kind, items in objects.items():
         for path, lists in object_lists(kind).items():
-            known = dict[str, str]()
+            known = dict(remainders) if any(each.issubset(lists) for each in _ZONE_OR_SPACE) else {}
             for each in lists:
                 known |= names.get(each, {})
                 known |= {word.casefold(): word for word in types.get(each, ())}
@@ -181,6 +188,16 @@ def _names(objects: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]
                         for each in lists:
                             names[each][value.casefold()] = value
     return names
+
+
+def _remainders(objects: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    """Yield the spaces that EnergyPlus creates for surfaces without a space in zones with spaces."""
+    divided = {str(fields.get("zone_name", "")).casefold() for fields in objects.get("Space", {}).values()}
+    kinds = [kind for kind in objects if divided and schema.has_field(kind, "space_name")]
+    surfaces = [fields for kind in kinds for fields in objects[kind].values() if not fields.get("space_name")]
+    for zone in dict.fromkeys(str(fields.get("zone_name", "")) for fields in surfaces):
+        if zone.casefold() in divided:
+            yield f"{zone}-Remainder"
 
 
 def _has_named_type(objects: Mapping[str, Mapping[str, Any]], fields: Mapping[str, Any], field: str) -> bool:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.box_model import box_model
 from support.data_packs import sinergym
 
 from zenostat.models import schema
@@ -140,3 +141,18 @@ def test_dangling_references__object_of_the_type_beside_the_name_is_found(kind: 
     assert schema.schema_errors(objects, complete=False) == []
     assert list(dangling_references(objects | {named: {"a": {}}})) == []
     assert [each.is_fatal for each in dangling_references(objects | {named: {"b": {}}})] == [True]
+
+
+@pytest.mark.process
+@pytest.mark.parametrize(("walls", "is_there"), [("", True), ("Half", False)])
+def test_dangling_references__space_of_what_is_left_of_a_zone_is_found_where_energyplus_creates_it(
+    walls: str, tmp_path: Path, *, is_there: bool
+) -> None:
+    """EnergyPlus creates a space for the surfaces of a zone that have none, if the zone has spaces."""
+    objects = box_model() | {"Space": {"Half": {"zone_name": "box"}}}
+    for surface in objects["BuildingSurface:Detailed"].values():
+        surface["space_name"] = walls
+    objects["BuildingSurface:Detailed"]["Floor"]["space_name"] = "Half"
+    objects["Lights"]["Lights"]["zone_or_zonelist_or_space_or_spacelist_name"] = "BOX-REMAINDER"
+    assert (list(dangling_references(objects)) == []) == is_there
+    assert (exit_code(objects, tmp_path / "run") == 0) == is_there
