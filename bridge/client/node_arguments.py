@@ -22,7 +22,7 @@ def for_node(arguments: Mapping[str, Any], name: str, slots: int = 1) -> dict[st
         InvalidConfig: No simulation or several are named; a point is not a tuple of names; a path is empty; or a value
             cannot be sent to the node's process.
     """
-    settings = {key: _to_json(value) for key, value in arguments.items()}
+    settings = {key: to_json(value) for key, value in arguments.items()}
     for key in ("scenario", "file"):
         if not isinstance(settings.get(key, ""), str):
             raise InvalidConfig(f"{key} = {arguments[key]!r}; the name of a scenario or the path of its file expected")
@@ -88,12 +88,12 @@ def _absolute_class(plant: str) -> str:
     return f"{_absolute(place, always=place.endswith('.py'))}:{class_name}" if place else plant
 
 
-def _to_json(value: Any) -> Any:
-    """Convert to JSON built-ins."""
+def to_json(value: Any) -> Any:
+    """Convert an argument of an environment to JSON built-ins; a value of another class stays as it is."""
     if isinstance(value, Mapping):
-        return {str(key): _to_json(part) for key, part in value.items()}
+        return {str(key): to_json(part) for key, part in value.items()}
     if isinstance(value, Sequence) and not isinstance(value, str):
-        return [_to_json(part) for part in value]
+        return [to_json(part) for part in value]
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, datetime) and value.time() == time(0):  # as pandas has dates

@@ -45,7 +45,7 @@ def check_new_dataset(dataset_id: str, folder: Path) -> Path:
         parse_dataset_id(dataset_id)
     except (ValueError, TypeError):  # TypeError: no version
         raise InvalidConfig(
-            f"--id {dataset_id!r}: expected NAMESPACE/NAME-vNUMBER, such as zenostat/five-zone/rbc-v0, with two "
+            f"the id {dataset_id!r}: expected NAMESPACE/NAME-vNUMBER, such as zenostat/five-zone/rbc-v0, with two "
             "or more letters, digits, '_' or '-' in each part"
         ) from None
     path = folder / dataset_id

@@ -16,8 +16,9 @@ from gymnasium.envs.registration import EnvSpec
 
 from zenostat.agent_sdk.controllers import Agent, ControllerProtocol, make_controller
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
-from zenostat.agent_sdk.wrappers.names import names_of
+from zenostat.agent_sdk.wrappers.names import names_of, reject_wrappers
 from zenostat.bridge.client.controller_link import ControllerLink
+from zenostat.bridge.client.node_arguments import to_json
 from zenostat.lab.datasets.episode import AgentEpisode, run_episode
 from zenostat.lab.datasets.minari_writer import check_minari, check_new_dataset, datasets_folder, write_minari
 from zenostat.lab.evaluate import (
@@ -98,6 +99,7 @@ def write_dataset(
         environment: gym.Env[Any, Any] = owned if owned is not None else env  # type: ignore[assignment]
         try:
             _check_spaces(environment)
+            reject_wrappers(environment, ["RewardVector"], "a data set has a number as reward; leave {} out")
             building = _building(environment)
             created = {name: make_controller(f, building.manifest, arguments[name]) for name, f in factories.items()}
             settings = {name: {"parameters": arguments[name], "episodes": episodes} for name in created}
@@ -197,7 +199,7 @@ def _spec(env: gym.Env[Any, Any], building: BuildingEnv) -> EnvSpec | None:
         fields = yaml12.parse(_scenario(building), "the node's scenario")
         kwargs = {name: value for name, value in fields.items() if name not in _NOT_ARGUMENTS}
     else:
-        kwargs = {name: str(value) if isinstance(value, Path) else value for name, value in spec.kwargs.items()}
+        kwargs = {name: to_json(value) for name, value in spec.kwargs.items()}
     portable = replace(spec, kwargs=kwargs)
     try:
         portable.to_json()

@@ -63,5 +63,5 @@ def test_cli__errors_are_one_sentence(scratch: Path) -> None:
     error = error_of("dataset", *call, "--controller", "baseline", "--id", ID)
     assert "error: the controller 'baseline' sends no actions" in error
     done = run_in_process("dataset", *call, "--controller", "rbc", "--id", "office")
-    assert "error: --id 'office': expected NAMESPACE/NAME-vNUMBER" in plain(done.stderr)
+    assert "error: the id 'office': expected NAMESPACE/NAME-vNUMBER" in plain(done.stderr)
     assert list(scratch.iterdir()) == []

@@ -12,6 +12,7 @@ import pytest
 from support.run_cli import run_python
 
 import zenostat  # noqa: F401  # registers the environments
+from zenostat import wrappers as w
 from zenostat.agent_sdk.controllers import Agent, load_controller
 from zenostat.lab.datasets import datasets_folder, write_dataset
 from zenostat.topics.errors import InvalidConfig, UnknownName
@@ -194,7 +195,7 @@ def test_datasets__wrapped_observations_are_written_as_the_wrappers_give_them(fo
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"dataset_id": "rbc"}, r"--id 'rbc': expected NAMESPACE/NAME-vNUMBER"),
+        ({"dataset_id": "rbc"}, r"the id 'rbc': expected NAMESPACE/NAME-vNUMBER"),
         ({"dataset_id": "../rbc-v0"}, r"expected NAMESPACE/NAME-vNUMBER"),
         ({"controllers": ["baseline"]}, r"'baseline' sends no actions"),
         ({"controllers": []}, r"expected a list of names"),
@@ -221,6 +222,21 @@ def test_datasets__unknown_controllers_and_existing_data_sets_are_reported(folde
     with pytest.raises(InvalidConfig, match=r"exists already: .*rbc-v0; choose another version"):
         write_dataset(lambda: pytest.fail("made"), ["rbc"], ID)
     assert hashes(folder) == before
+
+
+def test_datasets__arguments_of_numpy_are_recovered(folder: Path) -> None:
+    env = gym.make("zenostat/Fake-v1", **FAKE, discrete=np.int64(3))
+    write_dataset(env, ["rbc"], ID)
+    with closing(minari.load_dataset(ID).recover_environment()) as recovered:
+        assert recovered.action_space == env.action_space
+    assert folder.is_dir()
+
+
+def test_datasets__reward_is_a_number(folder: Path) -> None:
+    env = w.RewardVector(fake(), ["energy", "comfort"])
+    with pytest.raises(InvalidConfig, match="a data set has a number as reward; leave RewardVector out"):
+        write_dataset(env, ["rbc"], ID)
+    assert list(folder.iterdir()) == []
 
 
 def test_datasets__wrappers_that_change_actions_are_refused(folder: Path) -> None:
