@@ -11,11 +11,8 @@ from zenostat.agent_sdk.controllers import Agent, ControllerProtocol, make_contr
 from zenostat.lab.evaluate import run_episode
 from zenostat.lab.scenario_context import within_context
 from zenostat.lab.scenario_env import pop_env_id
-from zenostat.lab.tuning.trial import mean_metric
+from zenostat.lab.tuning.trial import TrialReport, mean_metric
 from zenostat.metrics.episode_metrics import EpisodeMetrics
-
-OnEpisode = Callable[[int, float], None]
-"""Callback for each episode, with its number from 1 and the mean of the metric so far; its exceptions are raised."""
 
 
 class ControllerEpisodes:
@@ -41,21 +38,17 @@ class ControllerEpisodes:
         self._env = within_context(building)
         self._resets = [seed if number == 0 else None for seed in seeds for number in range(max(len(weathers), 1))]
 
-    @property
-    def count(self) -> int:
-        """Number of episodes."""
-        return len(self._resets)
-
     def value(
         self,
         factory: Callable[..., ControllerProtocol],
         parameters: Mapping[str, Any],
         metric: str,
-        on_episode: OnEpisode | None = None,
+        report: TrialReport | None = None,
     ) -> float:
-        """Return the mean of a metric over all episodes of a new controller.
+        """Return the mean of a metric over all episodes of a new controller; report that of the episodes so far.
 
         Raises:
+            Pruned: the pruner ends the trial.
             InvalidConfig: the controller does not fit, a parameter is invalid, or the episodes have no such metric.
         """
         building: Any = self._env.unwrapped
@@ -65,8 +58,8 @@ class ControllerEpisodes:
         for number, seed in enumerate(self._resets, 1):
             result, _ = run_episode(self._env, lambda _: agent.action(building.sample), seed=seed)
             results.append(result)
-            if on_episode is not None:
-                on_episode(number, mean_metric(results, metric))
+            if report is not None:
+                report.add(mean_metric(results, metric), number, is_last=number == len(self._resets))
         return mean_metric(results, metric)
 
     def close(self) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from zenostat.lab.tuning.controller_episodes import ControllerEpisodes
-from zenostat.lab.tuning.trial import Pruned, TrialReport, pruned_result, run_request
+from zenostat.lab.tuning.trial import Pruned, pruned_result, report_of, run_request
 
 
 class TrialRunner:
@@ -22,13 +22,10 @@ class TrialRunner:
         """Run the trial that a request describes; return its result."""
         from zenostat.agent_sdk.controllers import load_controller
 
-        report, factory = TrialReport(request), load_controller(request["controller"])
+        report, factory = report_of(request), load_controller(request["controller"])
         try:
             episodes = self._open(request["environment"])
-            value = episodes.value(
-                factory, request["parameters"], request["metric"],
-                lambda number, mean: report.add(mean, number, is_last=number == episodes.count),
-            )  # fmt: skip
+            value = episodes.value(factory, request["parameters"], request["metric"], report)
         except Pruned:
             return pruned_result(report)
         except BaseException:

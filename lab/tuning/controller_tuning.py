@@ -23,6 +23,7 @@ from zenostat.lab.tuning.study_config import (
     default_direction,
     starting_point,
 )
+from zenostat.lab.tuning.trial import Pruned, TrialReport
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
@@ -156,20 +157,12 @@ def _run(
     values: dict[str, Any],
 ) -> TrialRecord:
     """Run a trial to its end, or until it is pruned."""
-    latest = 0.0
-
-    def report(number: int, mean: float) -> None:
-        nonlocal latest
-        latest = mean
-        trial.report(mean, number)
-        if number < episodes.count and trial.should_prune():
-            raise optuna.TrialPruned
-
+    report = TrialReport(trial)
     try:
         value = episodes.value(factory, parameters, metric, report)
-    except optuna.TrialPruned:
+    except Pruned:
         study.tell(trial, state=TrialState.PRUNED)
-        return TrialRecord(values, latest, pruned=True)
+        return TrialRecord(values, report.values[-1], pruned=True)
     study.tell(trial, value)
     return TrialRecord(values, value)
 

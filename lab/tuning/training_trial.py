@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from zenostat.lab.tuning.trial import Pruned, TrialReport, mean_metric, pruned_result, run_request
+from zenostat.lab.tuning.trial import Pruned, mean_metric, pruned_result, report_of, run_request
 from zenostat.topics.errors import InvalidConfig
 
 
@@ -28,7 +28,7 @@ def _run(request: dict[str, Any]) -> dict[str, Any]:
     from zenostat.lab.training.config import read_training
     from zenostat.lab.training.run import train
 
-    report = TrialReport(request)
+    report = report_of(request)
     try:
         train(
             read_training(request["training"]),

@@ -18,31 +18,19 @@ class Pruned(Exception):  # an outcome
 
 
 class TrialReport:
-    """Intermediate values of the trial that a request describes, in the database of its study.
+    """Intermediate values of a trial.
 
     Attributes:
         values: those reported so far.
         step: that of the last one.
 
     Args:
-        request: the study's URL and name, the trial's id, and the pruner.
-
-    Raises:
-        InvalidConfig: the database cannot be used.
+        trial: a trial of Optuna.
+        url: URL of its database, for errors.
     """
 
-    def __init__(self, request: dict[str, Any]) -> None:
-        import optuna
-
-        from zenostat.lab.tuning.study_config import Pruner
-        from zenostat.lab.tuning.study_storage import database_errors, make_pruner, open_storage
-
-        self._url = request["url"]
-        settings = request["pruner"] and Pruner.model_validate(request["pruner"])
-        with database_errors(self._url):
-            storage = open_storage(self._url)
-            study = optuna.load_study(study_name=request["study"], storage=storage, pruner=make_pruner(settings))
-            self._trial = optuna.trial.Trial(study, request["trial_id"])
+    def __init__(self, trial: Any, url: str = "") -> None:
+        self._trial, self._url = trial, url
         self.values: list[float] = []
         self.step = 0
 
@@ -60,6 +48,23 @@ class TrialReport:
             self._trial.report(value, step)
             if not is_last and self._trial.should_prune():
                 raise Pruned
+
+
+def report_of(request: dict[str, Any]) -> TrialReport:
+    """Return the report of the trial that a request describes by the study's URL and name, its id and the pruner.
+
+    Raises:
+        InvalidConfig: the database cannot be used.
+    """
+    import optuna
+
+    from zenostat.lab.tuning.study_config import Pruner
+    from zenostat.lab.tuning.study_storage import database_errors, make_pruner, open_storage
+
+    url, settings = request["url"], request["pruner"] and Pruner.model_validate(request["pruner"])
+    with database_errors(url):
+        study = optuna.load_study(study_name=request["study"], storage=open_storage(url), pruner=make_pruner(settings))
+        return TrialReport(optuna.trial.Trial(study, request["trial_id"]), url)
 
 
 def pruned_result(report: TrialReport) -> dict[str, Any]:

@@ -101,7 +101,7 @@ def test_tune_controller__cma_es_draws_generations_around_the_start(monkeypatch:
     assert tuned.parameters == pytest.approx({"heating_margin": 1.0, "cooling_margin": 1.0}, abs=0.2)
 
 
-def quadratic(episodes: Any, factory: Any, parameters: Any, metric: str, on_episode: Any) -> float:
+def quadratic(episodes: Any, factory: Any, parameters: Any, metric: str, report: Any) -> float:
     """An objective with its maximum, 0, where all parameters are 1; the defaults have -100."""
     return -sum((value - 1.0) ** 2 for value in parameters.values()) if parameters else -100.0
 
