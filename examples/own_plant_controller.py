@@ -37,7 +37,7 @@ class HeatingCurve(Controller):
 
 
 def energy_and_comfort(values: Mapping[str, float], begin: datetime) -> dict[str, float]:  # noqa: ARG001
-    """Return reward terms: kWh of electricity, and kelvin hours below 19.5 degC."""
+    """Return reward terms: kWh of electricity, and degree-hours below 19.5 degC."""
     too_cold = max(19.5 - values["room_temperature"], 0.0)
     return {"energy": -values["electricity"] / 3.6e6, "comfort": -too_cold / 60.0}
 

@@ -36,8 +36,8 @@ class EpisodeMetrics:
         peak_kw: maximum of the mean power in a timestep, from the same source.
         mean_deviation_k: deviation from the comfort band, mean over its zones and all timesteps.
         outside_percent: share of timesteps at whose end at least one zone is outside the band.
-        outside_kh: kelvin hours outside the band, sum over the zones.
-        occupied_outside_kh: kelvin hours outside in occupied zones; all hours for zones without an occupant count.
+        outside_kh: degree-hours outside the band, sum over the zones.
+        occupied_outside_kh: degree-hours outside in occupied zones; all hours for zones without an occupant count.
         late, rejected: commands that the node did not accept during the episode.
         terminated: whether a termination limit ended the episode.
         kpis: key performance indicators by BOPTEST's names; see `zenostat.metrics.kpis`.

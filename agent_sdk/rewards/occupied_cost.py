@@ -22,7 +22,7 @@ GAS_METERS = ("NaturalGas:Facility", "HVAC:NaturalGas", "NaturalGas:HVAC")
 
 
 class OccupiedCostReward(OccupiedComfort, EnergyReward):
-    """Energy bill with a time-of-use tariff and a demand charge, and kelvin hours outside the band in occupied zones.
+    """Energy bill with a time-of-use tariff and a demand charge, and degree-hours outside the band in occupied zones.
 
         r = -w * (lambda_cost * (E * price + G * gas_price) + lambda_peak * max(K - K_max, 0))
             -(1 - w) * lambda_temperature * h * sum_z n_z * max(low - T_z, T_z - high, 0)

@@ -49,7 +49,7 @@ class NodeNumbers:
         facility_kwh, hvac_kwh: electricity since the first sample.
         peak_kw: highest electric power of the whole building since the first sample.
         fuels: use of the fuels besides electricity.
-        outside_kh, occupied_kh: kelvin hours outside the band since the first sample: all, and of occupied zones.
+        outside_kh, occupied_kh: degree-hours outside the band since the first sample: all, and of occupied zones.
         sources: names of the controllers and devices that set actuators in the timestep, in the actuators' order.
         alarms: alarms whose condition is present.
         faults: injected faults that are active.

@@ -20,7 +20,7 @@ class TotalRows:
         facility_kwh, hvac_kwh: electricity since the first sample; NaN where the node does not measure it.
         peak_kw: highest electric power of the whole building since the first sample; NaN before the first timestep.
         fuels_kw, fuels_kwh: power and energy of each fuel of `fuels_besides_electricity`, shape (n, fuels).
-        outside_kh: kelvin hours outside the comfort band, sum over the zones.
+        outside_kh: degree-hours outside the comfort band, sum over the zones.
         occupied_kh: the same in occupied zones only.
     """
 

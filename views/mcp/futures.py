@@ -48,7 +48,7 @@ class WhatIf(Tool):
     """Ask what would happen in the next hours with other values of some actuators.
 
     Copies of the building are simulated as it is and with the values, and compared: energy (kWh), peak power (kW)
-    and kelvin hours outside the comfort band. The building itself does not change. With no values, only the future
+    and degree-hours outside the comfort band. The building itself does not change. With no values, only the future
     as it is. Controllers do not run on copies: their last commands stay.
     """
 
@@ -75,7 +75,7 @@ class WhatIf(Tool):
 class CompareWithBaseline(Tool):
     """Compare the next hours of a building as it is with those under its own baseline control.
 
-    All commands are relinquished for the baseline. Compares energy (kWh), peak power (kW) and kelvin hours outside
+    All commands are relinquished for the baseline. Compares energy (kWh), peak power (kW) and degree-hours outside
     the comfort band. Simulated on copies; the building itself does not change.
     """
 

@@ -116,7 +116,7 @@ class ZonePanel(Panel):
         super().update(window)
 
     def _worst_zone(self, window: Window, low: Floats, high: Floats) -> int:
-        """Return the zone with the most degree hours outside its band; without any, the one nearest to its limits."""
+        """Return the zone with the most degree-hours outside its band; without any, the one nearest to its limits."""
         outside = np.maximum(low - window.values[:, self._air], window.values[:, self._air] - high)
         outside = np.nan_to_num(outside, nan=-1e9)
         total = np.maximum(outside, 0.0).sum(axis=0)

@@ -157,7 +157,7 @@ class Quantities:
 
     @cached_property
     def degree_hours(self) -> tuple[Floats, Floats] | None:
-        """Kelvin hours above and below the band while occupied, each of shape (zones,)."""
+        """Degree-hours above and below the band while occupied, each of shape (zones,)."""
         if self.comfort is None:
             return None
         deviation = np.where(self.comfort.occupied, np.nan_to_num(self.comfort.deviation), 0.0) * self.step_h

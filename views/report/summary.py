@@ -26,7 +26,7 @@ _ELECTRICITY = (
 _PEAK = Metric("peak_kw", "peak power", "kW")
 _OUTSIDE = Metric("occupied_outside_kh", "", "K h")
 _WORST_KH = 0.5
-"""Zones with fewer kelvin hours outside are not mentioned."""
+"""Zones with fewer degree-hours outside are not mentioned."""
 
 
 def summary(comparison: Comparison) -> list[str]:
@@ -200,5 +200,5 @@ def _irregular(run: Run) -> list[str]:
 
 
 def worst_zones(comparison: Comparison, count: int) -> list[str]:
-    """Return the zones with most kelvin hours outside while occupied, worst first; none that was always within."""
+    """Return the zones with most degree-hours outside while occupied, worst first; none that was always within."""
     return [label for label, hours in rank_zones(comparison.curves)[:count] if hours > 0.0]

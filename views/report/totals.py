@@ -196,7 +196,7 @@ def number(value: float, digits: int | None = None) -> str:
 
 
 def kelvin_hours(value: float) -> str:
-    """Return a number of kelvin hours with its unit, which no line break separates."""
+    """Return a number of degree-hours with its unit, which no line break separates."""
     return f"{number(value)}\N{NO-BREAK SPACE}{KELVIN_HOURS}"
 
 

@@ -17,7 +17,7 @@ _MIN_KH = 0.05
 
 
 def rank_zones(curves: Sequence[Curve]) -> list[tuple[str, float]]:
-    """Return zones by their kelvin hours outside while occupied, of the controller where they are most; worst first."""
+    """Return zones by their degree-hours outside while occupied, of the controller where they are most; worst first."""
     worst: dict[str, float] = {}
     for curve in curves:
         comfort, hours = curve.quantities.comfort, curve.quantities.degree_hours
@@ -29,7 +29,7 @@ def rank_zones(curves: Sequence[Curve]) -> list[tuple[str, float]]:
 
 
 def degree_hours(curves: Sequence[Curve]) -> Figure | None:
-    """Kelvin hours above and below the band while occupied, by zone; None without a comfort band."""
+    """Degree-hours above and below the band while occupied, by zone; None without a comfort band."""
     curves = [curve for curve in curves if curve.quantities.comfort is not None]
     ranked = rank_zones(curves)
     if not ranked:
@@ -75,8 +75,8 @@ def degree_hours(curves: Sequence[Curve]) -> Figure | None:
     drawing = draw("degree-hours", 0.75 + len(shown) * max(0.2, 0.125 * len(curves)), fill)
     return Figure(
         "degree-hours", "Degree-hours outside comfort, by zone",
-        f"Kelvin hours outside the comfort band{_while(curves)}, zones sorted by the worst.{hidden}",
-        f"Bars of kelvin hours by zone; the worst is {shown[0]}.", drawing, data,
+        f"Degree-hours outside the comfort band{_while(curves)}, zones sorted by the worst.{hidden}",
+        f"Bars of degree-hours by zone; the worst is {shown[0]}.", drawing, data,
         is_tabular=True,
     )  # fmt: skip
 
