@@ -194,7 +194,8 @@ class Connection:
                 "offer it"
             )
         revoked = f", or they have revoked {self.identity}" if self.identity and not known else ""
-        raise NodeNotFound(f"no node {node!r} on {self.endpoint}; {did_you_mean(node, known)}{revoked}")
+        starting = "" if known else " (one may be starting)"
+        raise NodeNotFound(f"no node {node!r} on {self.endpoint}; {did_you_mean(node, known)}{starting}{revoked}")
 
     def _signed(self, request: Message) -> tuple[Message, str]:
         """Return a request with its sender's name, and that name: below the one in the certificate."""

@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Callable
+from pathlib import Path
 
 import msgpack
 import pytest
@@ -11,6 +12,7 @@ from support.nodes import until
 from zenoh.handlers import FifoChannel, RingChannel
 
 import zenostat
+from zenostat.bridge.transport.session import open_session
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import InvalidConfig, NodeNotFound
 from zenostat.topics.keys import Topic
@@ -69,6 +71,16 @@ def test_bus__node_that_has_a_manifest_but_no_reply_is_not_called_missing(episod
         pytest.raises(NodeNotFound, match=r"the node 'starting' on .* did not take the request"),
     ):
         episode_bus.status("starting")
+
+
+def test_bus__listener_without_a_node_may_be_one_that_starts(scratch: Path) -> None:
+    endpoint = f"unixsock-stream/{scratch}/bus"
+    with (
+        open_session(listen=[endpoint]),
+        zenostat.connect(endpoint) as bus,
+        pytest.raises(NodeNotFound, match=r"no node 'office' on .*; there are none \(one may be starting\)$"),
+    ):
+        bus.status("office")
 
 
 @pytest.mark.slow
