@@ -308,6 +308,11 @@ class Node:
             raise UnknownName(f"no name {request.name!r} in the list of names; {did_you_mean(request.name, names)}")
         if request.name == self._opened.name:
             raise RequestRejected(f"{request.name} is this node's own name; stop the node instead")
+        if keys.is_own(request.name, request.source):
+            raise RequestRejected(
+                f"{request.name} is your own name: revoke it with another operator's certificate, or on the node's "
+                "machine, with zenostat keys revoke"
+            )
         if keys.Role.NODE in names[request.name]:
             raise RequestRejected(
                 f"{request.name} is the name of a node or router, on which others may depend: revoke it on its "

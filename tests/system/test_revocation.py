@@ -281,6 +281,8 @@ def test_revoke__what_cannot_be_revoked(node: NodeProgram, pki: Path, operator: 
         operator.revoke("room", "anne")
     with pytest.raises(RequestRejected, match="this node's own name"):
         operator.revoke("room", "node")
+    with pytest.raises(RequestRejected, match="operator is your own name"):
+        operator.revoke("room", "operator")
     with pytest.raises(RequestRejected, match="gate is the name of a node or router, on which others may depend"):
         operator.revoke("room", "gate")
     with connect(node, pki, "second") as controller, pytest.raises(InvalidConfig, match="another role: operator"):
