@@ -112,7 +112,10 @@ def _client_protocol(attached: zenoh.ZBytes | None) -> str:
 def _mismatch(sender: str, named: str) -> str:
     """Return what is wrong with the sender in a key and the one that the message names; empty if they agree."""
     if not keys.is_name(sender):
-        return f"{sender!r} is not a sender's name: up to 128 letters, digits, '_', '.' and '-' expected in the key"
+        return (
+            f"{sender!r} is not a sender's name: up to 128 letters, digits, '_', '.' and '-' expected in the key, of "
+            "which the first is no '.' or '-'"
+        )
     if named not in ("", sender):
         return f"its key names {sender!r} as the sender, and the message {named!r}; send it under one name"
     return ""

@@ -112,6 +112,9 @@ def test_bus__node_answers_each_malformed_write_to_its_source(episode_bus: zenos
         event = next_rejection()
         assert event.source == "p" * 127 + "…"
         assert "is not a sender's name" in event.text
+        bus.session.put(keys.ACTUATOR.at("office", name=POINT, sender="-x"), msgpack.packb({"value": None}))
+        assert "'-x' is not a sender's name" in (text := next_rejection().text)
+        assert "of which the first is no '.' or '-'" in text
 
 
 SETS = Write(value=26.0, source="panel")
