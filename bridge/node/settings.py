@@ -39,7 +39,7 @@ class NodeSettings(BaseModel):
     check: bool = False
     name: str = "building"
     mode: Mode = Mode.LOCKSTEP
-    speed: Annotated[float, Field(gt=0, le=1e9)] = 1.0
+    speed: Annotated[float, Field(ge=1e-6, le=1e9)] = 1.0
     policy: Policy = Policy.WAIT
     grace_s: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     deadline_s: Annotated[float, Field(gt=0, le=1e9)] | None = None

@@ -439,10 +439,11 @@ def test_node__publishes_its_changes_of_pace(bus: Bus) -> None:
 @pytest.mark.parametrize(
     ("ask", "error", "words"),
     [
-        (lambda bus: bus.pace("office", 0), InvalidConfig, "speed.*greater than 0"),
-        (lambda bus: bus.pace("office", -60.0), InvalidConfig, "speed.*greater than 0"),
+        (lambda bus: bus.pace("office", 0), InvalidConfig, "speed.*greater than or equal to 0.000001"),
+        (lambda bus: bus.pace("office", -60.0), InvalidConfig, "speed.*greater than or equal to 0.000001"),
         (lambda bus: bus.pace("office", float("nan")), InvalidConfig, "speed.*finite"),
         (lambda bus: bus.pace("office", 2e9), InvalidConfig, "speed.*less than or equal to 1000000000"),
+        (lambda bus: bus.pace("office", 5e-324), InvalidConfig, "speed.*greater than or equal to 0.000001"),
         (lambda bus: bus.pace("office", mode="quick"), InvalidConfig, "mode.*'lockstep', 'paced' or 'free'"),
         (lambda bus: bus.pace("office"), RequestRejected, "only the mode 'paced' has a speed, and needs one"),
         (lambda bus: bus.pace("office", 60, mode="free"), RequestRejected,

@@ -129,11 +129,14 @@ class StepsTried(Message):
 
 
 class SetPace(Message):
-    """Change the mode, or the speed in paced mode (simulated seconds per second of wall time), from now on."""
+    """Change the mode, or the speed in paced mode (simulated seconds per second of wall time), from now on.
+
+    The mode `paced` needs a `speed`, and the others have none.
+    """
 
     source: SourceName = ""
     mode: Mode = Mode.PACED
-    speed: Annotated[float, Field(gt=0, le=1e9, strict=True)] | None = None
+    speed: Annotated[float, Field(ge=1e-6, le=1e9, strict=True)] | None = None
 
 
 class Pause(Message):
