@@ -62,6 +62,15 @@ _SERVERS = {
     ),
 }
 """For each server its Zenoh transport, what it is, and what secures it."""
+_TLS_CONFIG = {
+    "transport/link/tls": {
+        "root_ca_certificate": "ca.pem",
+        "connect_certificate": "NAME.pem",
+        "connect_private_key": "NAME.key",
+        "enable_mtls": True,
+    }
+}
+"""Zenoh's configuration of a client with keys, whose files are in its folder of keys."""
 
 
 def document() -> dict[str, Any]:
@@ -89,6 +98,7 @@ def _server(transport: str, description: str, security: tuple[str, ...]) -> dict
         "x-zenoh": {"locator": f"{transport}/{{host}}:{{port}}", "mode": "client", "multicast_scouting": False},
     }
     if security:
+        server["x-zenoh"]["config"] = _TLS_CONFIG
         server["security"] = [{"$ref": f"#/components/securitySchemes/{name}"} for name in security]
     return server
 
