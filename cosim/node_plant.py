@@ -20,7 +20,7 @@ from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.transport.session import certificate_file
 from zenostat.cosim.coupled import Floats, Rows
 from zenostat.topics.errors import BusError, EpisodeChanged, NodeLost, RequestRejected, ZenostatError
-from zenostat.topics.messages import CommandOp, ControllerState, CreateBranch, Manifest, Mode
+from zenostat.topics.messages import CommandOp, ControllerState, CreateBranch, Manifest, Mode, Reset, State
 
 _SET, _RELINQUISH = int(CommandOp.SET), int(CommandOp.RELINQUISH)
 
@@ -351,6 +351,12 @@ class FoundPlant(NodePlant):
         except ZenostatError:
             return False
         return True
+
+    def recover(self) -> None:
+        """Prepare for another connection; a timestep for which nobody waits any more would delay the claim."""
+        super().recover()
+        if self.bus.status(self._node).state is State.RUNNING:
+            self.bus.reset(self._node, Reset(controller=self._controller))
 
     def close(self) -> None:
         """Disconnect from the node; idempotent."""

@@ -507,6 +507,28 @@ def test_district__reset_of_one_that_waits_for_a_paused_plant_begins_an_episode(
         assert episode(link) == expected
 
 
+def test_district__plant_on_a_bus_whose_timestep_does_not_end_is_reset(scratch: Path) -> None:
+    """Its node would answer a claim after its timestep only; a reset gives that up."""
+    stuck = LONG.replace(
+        "    def step(self, commands):\n        heat",
+        """    def step(self, commands):
+        while commands["supply"] > 10.0:
+            pass
+        heat""",
+    )
+    (scratch / "stuck.py").write_text(stuck)
+    with (
+        NodeProgram(scratch / "home", plant=f"{scratch}/stuck.py:House", name="home", unresponsive_s=2.0) as home,
+        closing(FoundPlant("home", home.endpoint, None)) as plant,
+        zenostat.connect(home.endpoint, affinity="off") as bus,
+    ):
+        expected = plant.reset(3)
+        plant.begin(np.array([[15.0, 0.0]]))
+        until(lambda: bus.status("home").state is State.RUNNING, "the timestep has begun")
+        plant.interrupt()
+        assert np.array_equal(plant.reset(3).values, expected.values)
+
+
 @pytest.mark.slow
 def test_district__plant_on_a_bus_that_another_one_replaces(scratch: Path) -> None:
     """A node with other points does not get the commands of the one before; one that fits does."""
