@@ -548,6 +548,13 @@ def test_chart__values_of_each_unit_are_within_their_scale(ada: Visitor, room: A
         assert high - low < 2 * (values[2] - values[0])
 
 
+def test_chart__axis_of_people_has_whole_numbers(ada: Visitor, room: Any) -> None:
+    page = ada.open(room.url)
+    page.locator(".card").first.wait_for()
+    _, (low, high) = page.evaluate(CHART, [f"{room.url}/static/trends.js", ["people", [0, 0, 0]]])
+    assert (low, high) == (0, 1)
+
+
 BAND = """async ([module, low, high]) => {
     const { chart } = await import(module), root = document.createElement("div");
     document.body.append(root);

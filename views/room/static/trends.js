@@ -28,7 +28,7 @@ function timeLabels(_, splits, axis, space, step) {
 
 /** A range around values, so that lines do not touch its ends. */
 function padded(low, high, unit) {
-  const least = unit === "°C" ? 2 : unit === "kW" || low === high ? 1e-6 : 0;
+  const least = unit === "°C" || unit === "people" ? 2 : unit === "kW" || low === high ? 1e-6 : 0;
   const pad = Math.max((high - low) * 0.08, least / 2, Math.abs(high) * 1e-3);
   return [low >= 0 && low - pad < 0 ? 0 : low - pad, high + pad];
 }
