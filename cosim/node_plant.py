@@ -324,6 +324,7 @@ class FoundPlant(NodePlant):
 
     def __init__(self, node: str, endpoint: str, keys: Any, controller: str = "orchestrator") -> None:
         super().__init__(node, controller)
+        self._is_interrupted = False
         self._overridden = frozenset[tuple[str, str]]()  # actuators of the latest sample, and who commands them
         self._endpoint, self._keys = endpoint, keys
         self._threads = ThreadPoolExecutor(1)
@@ -352,10 +353,16 @@ class FoundPlant(NodePlant):
             return False
         return True
 
+    def interrupt(self) -> None:
+        """Close the connection, so that pending calls raise; thread-safe."""
+        self._is_interrupted = True
+        super().interrupt()
+
     def recover(self) -> None:
-        """Prepare for another connection; a timestep for which nobody waits any more would delay the claim."""
+        """Prepare for another connection; the timestep of which `interrupt` gave up the wait would delay its claim."""
         super().recover()
-        if self.bus.status(self._node).state is State.RUNNING:
+        is_interrupted, self._is_interrupted = self._is_interrupted, False
+        if is_interrupted and self.bus.status(self._node).state is State.RUNNING:
             self.bus.reset(self._node, Reset(controller=self._controller))
 
     def close(self) -> None:
