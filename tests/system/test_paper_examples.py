@@ -133,5 +133,5 @@ def test_published_search__has_each_combination_once_and_follows_the_reward() ->
         energy, deviation_k = float(row["mean_reward.energy"]), float(row["mean_deviation_k"])
         assert int(row["steps"]) == YEAR
         assert float(row["mean_reward"]) == pytest.approx(energy - 0.5 * deviation_k, abs=1e-9)
-        metered_w = float(row["hvac_electricity_kwh"]) / 8.76  # the reward has the demand rate, some 0.5 % less
-        assert metered_w == pytest.approx(1.005 * -energy / (0.5 * 5e-5), rel=2e-3)
+        metered_w = float(row["hvac_electricity_kwh"]) / 8.76  # the reward has the demand rate, 0.2 to 0.9 % less
+        assert 1.0 < metered_w / (-energy / (0.5 * 5e-5)) < 1.01
