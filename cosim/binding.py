@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from math import gcd, inf
+from math import gcd
 
 import numpy as np
 
@@ -466,7 +466,7 @@ def _conversion(
 
 def _bounds(connection: Connection, actuator: Actuator, errors: FileErrors) -> tuple[float, float]:
     spec = connection.spec
-    low, high = -inf if spec.low is None else spec.low, inf if spec.high is None else spec.high
+    low, high = bounds(spec)
     if spec.sum:
         return low, high
     lowest, highest = bounds(actuator)

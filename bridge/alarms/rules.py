@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from fnmatch import fnmatchcase
-from math import ceil, inf
+from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +16,7 @@ from zenostat.topics.calendar import WEEKDAYS, in_hours
 from zenostat.topics.energyplus_names import OCCUPANTS
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.messages import Meter, Sensor
+from zenostat.topics.points import bounds
 
 if TYPE_CHECKING:
     from zenostat.bridge.node.plant import PlantDescription
@@ -90,7 +91,7 @@ def _alarms_of(
     columns = _columns(rule, points, errors)
     if not _check_units(rule, [points[column] for column in columns], errors):
         return
-    low, high = (-inf if rule.low is None else rule.low), (inf if rule.high is None else rule.high)
+    low, high = bounds(rule)
     return_delay_s = rule.delay_s if rule.return_delay_s is None else rule.return_delay_s
     delay, return_delay = (ceil(seconds / step_s - ROUNDING) for seconds in (rule.delay_s, return_delay_s))
     limits = Limits(low, high, rule.deadband, delay, return_delay)

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import inf, pi
+from math import pi
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.topics.errors import InvalidConfig, repeated
 from zenostat.topics.messages import Actuator, Manifest, Meter, Sensor
+from zenostat.topics.points import bounds
 
 Floats = NDArray[np.float64]
 
@@ -82,10 +83,7 @@ class PointTable:
         )
         input_scales = [_SI.get(actuator.unit, (actuator.unit, 1.0, 0.0)) for actuator in manifest.actuators]
         self._input_factor, self._input_offset = np.array([s[1:] for s in input_scales]).reshape(-1, 2).T
-        self._bounds = tuple(
-            (-inf if actuator.low is None else actuator.low, inf if actuator.high is None else actuator.high)
-            for actuator in manifest.actuators
-        )
+        self._bounds = tuple(map(bounds, manifest.actuators))
         self.inputs = tuple(
             map(self._input, manifest.actuators, range(len(input_scales)), (s[0] for s in input_scales))
         )

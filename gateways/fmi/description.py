@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import uuid
 from collections.abc import Iterable
-from math import inf, isinf
+from math import isinf
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from zenostat.gateways.points import Reading, readings
 from zenostat.topics.keys import safe_name
 from zenostat.topics.messages import Actuator, Manifest
+from zenostat.topics.points import bounds
 
 _NAMESPACE = uuid.UUID("5b0bd4d5-6ef4-55c1-9b3a-2f1f7f6b6a0e")
 _SI: dict[str, dict[str, float]] = {
@@ -53,7 +54,7 @@ class Interface:
         self.actuators: tuple[Actuator, ...] = manifest.actuators
         content = {
             "outputs": [(output.name, output.unit) for output in self.outputs],
-            "actuators": [(actuator.name, actuator.unit, *_bounds(actuator)) for actuator in self.actuators],
+            "actuators": [(actuator.name, actuator.unit, *bounds(actuator)) for actuator in self.actuators],
             "timesteps": (manifest.steps, manifest.step_s),
         }
         self.guid = f"{{{uuid.uuid5(_NAMESPACE, json.dumps(content))}}}"
@@ -70,7 +71,7 @@ class Interface:
         Args:
             address: start value of the parameter `address`.
         """
-        bounds = [_bounds(actuator) for actuator in self.actuators] or [(0.0, 0.0)]
+        limits = [bounds(actuator) for actuator in self.actuators] or [(0.0, 0.0)]
         constants = {
             "OUTPUTS": len(self.outputs),
             "ACTUATORS": len(self.actuators),
@@ -78,8 +79,8 @@ class Interface:
             "STEPS": self.manifest.steps,
             "GUID": json.dumps(self.guid),
             "START_ADDRESS": json.dumps(address),
-            "LOW_VALUES": _numbers(low for low, _ in bounds),
-            "HIGH_VALUES": _numbers(high for _, high in bounds),
+            "LOW_VALUES": _numbers(low for low, _ in limits),
+            "HIGH_VALUES": _numbers(high for _, high in limits),
             "START_VALUES": _numbers([_start(actuator) for actuator in self.actuators] or [0.0]),
         }
         return "".join(f"#define {name} {value}\n" for name, value in constants.items())
@@ -124,7 +125,7 @@ class Interface:
             _variable(variables, output.name, index, "output", "Real", _description(output), unit=output.unit)
         for index, actuator in enumerate(self.actuators, len(self.outputs)):
             attributes = {"unit": actuator.unit, "start": _text(_start(actuator))}
-            limits = zip(("min", "max"), _bounds(actuator), strict=True)
+            limits = zip(("min", "max"), bounds(actuator), strict=True)
             attributes |= {name: _text(value) for name, value in limits if not isinf(value)}
             _variable(variables, f"{actuator.name}_u", index, "input", "Real", "value of the actuator", **attributes)
         for index, actuator in enumerate(self.actuators):
@@ -171,15 +172,9 @@ def _description(output: Reading) -> str:
     return "; ".join(filter(None, (source, output.note.replace("timestep", "communication step"))))
 
 
-def _bounds(actuator: Actuator) -> tuple[float, float]:
-    low = -inf if actuator.low is None else actuator.low
-    high = inf if actuator.high is None else actuator.high
-    return low, high
-
-
 def _start(actuator: Actuator) -> float:
     """Return its value while nobody commands it where that is known, else 0, within its bounds."""
-    low, high = _bounds(actuator)
+    low, high = bounds(actuator)
     return min(max(actuator.default or 0.0, low), high)
 
 
