@@ -38,6 +38,21 @@ def parse_address(text: str, protocol: str, *, expose: bool, default_port: int) 
     return str(address), port
 
 
+def keep_alive(connection: socket.socket, *, idle_s: int, interval_s: int, probes: int) -> None:
+    """Let a connection fail once its other end is gone without having closed it.
+
+    Args:
+        connection: a TCP connection.
+        idle_s: time without data before the first probe, in s.
+        interval_s: time between probes, in s.
+        probes: number of probes without an answer.
+    """
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, idle_s)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, interval_s)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, probes)
+
+
 def names_of(host: str, port: int) -> list[str]:
     """Return `ADDRESS:PORT` for each address of a host, whatever its spelling; for this machine, with its name."""
     if is_loopback(host):

@@ -34,11 +34,19 @@ class Reading:
         return self.point.name
 
     @property
+    def is_total(self) -> bool:
+        """Whether its readings are totals of timesteps: of an amount without a rate."""
+        return _is_amount(self.point) and self.unit == self.point.unit
+
+    @property
+    def is_mean(self) -> bool:
+        """Whether its readings are mean rates of timesteps."""
+        return _is_amount(self.point) and not self.is_total
+
+    @property
     def note(self) -> str:
         """Relation of an amount's reading to its timestep; empty for other points."""
-        if not _is_amount(self.point):
-            return ""
-        return f"{'total' if self.unit == self.point.unit else 'mean'} of the timestep"
+        return "total of the timestep" if self.is_total else "mean of the timestep" if self.is_mean else ""
 
     def of(self, sample: SampleView) -> float | None:
         """Return the reading of a sample; None where the node does not report it."""

@@ -18,6 +18,11 @@ def split_address(text: str, default_port: int) -> tuple[str, int] | None:
     return (match[1].strip("[]"), port) if match and port <= 65535 else None
 
 
+def join_address(host: str, port: int) -> str:
+    """Return `HOST:PORT`, with brackets around an IPv6 address."""
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
 def is_loopback(host: str) -> bool:
     """Return whether a host is this machine alone: a loopback address, also in brackets, or `localhost`."""
     try:

@@ -8,16 +8,18 @@ import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from math import isnan, nan
+from math import isnan
 from socketserver import BaseRequestHandler, ThreadingTCPServer
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from typing_extensions import override
 
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.controller_link import ControllerLink
 from zenostat.bridge.client.sample import SampleView
+from zenostat.gateways.addresses import keep_alive
 from zenostat.gateways.clients import EVERYTHING, UNRESTRICTED, Clients
 from zenostat.gateways.fmi.description import Interface
 from zenostat.gateways.fmi.messages import (
@@ -29,6 +31,7 @@ from zenostat.gateways.fmi.messages import (
     read_request,
 )
 from zenostat.gateways.notices import Notices
+from zenostat.topics.addresses import join_address
 from zenostat.topics.errors import AddressInUse, RequestRejected, ZenostatError
 
 MAX_CONNECTIONS = 32
@@ -36,7 +39,6 @@ _MAX_WAITING = 4 * MAX_CONNECTIONS
 _FIRST_REQUEST_S = 30.0
 _LOOK_S = 0.5  # how often the connection is looked at while the node simulates
 _WORKING_S = 5.0
-_KEEPALIVE_S = 5
 _MAX_REQUEST = 1 << 20
 
 
@@ -84,8 +86,8 @@ class FmiGateway:
         try:
             self._server = _Server((host, port), self)
         except OSError as error:
-            raise AddressInUse(f"{_join(host, port)}: {error.strerror}") from None
-        self.address = _join(host, self._server.server_address[1])
+            raise AddressInUse(f"{join_address(host, port)}: {error.strerror}") from None
+        self.address = join_address(host, self._server.server_address[1])
         self._thread = threading.Thread(target=self._server.serve_forever, name="fmi-gateway", daemon=True)
 
     def __enter__(self) -> FmiGateway:
@@ -142,10 +144,7 @@ class _Connection(BaseRequestHandler):
         }  # fmt: skip
         connection = self.request
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        for option in ("TCP_KEEPIDLE", "TCP_KEEPINTVL"):
-            if hasattr(socket, option):
-                connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), _KEEPALIVE_S)
+        keep_alive(connection, idle_s=5, interval_s=5, probes=9)
         connection.settimeout(_FIRST_REQUEST_S)
 
     @override
@@ -231,6 +230,7 @@ class _Connection(BaseRequestHandler):
         _check(interface, content[4:].decode("ascii", "replace"))
         (seed,) = struct.unpack_from("<i", content)
         self._interface = interface
+        self._divisors = np.array([output.divisor for output in interface.outputs])
         name = f"fmi.{client}" if client else "fmi"
         self._link = gateway.bus.controller(gateway.node, name=name, priority=gateway.priority)
         sample = self._link.reset(seed=None if seed < 0 else seed)
@@ -260,8 +260,10 @@ class _Connection(BaseRequestHandler):
         self.gateway.counts.timesteps += len(outputs)
         rows = np.array(outputs)
         for index, output in enumerate(self._interface.outputs):
-            if output.note:
-                rows[-1, index] = rows[:, index].sum() if output.unit == output.point.unit else rows[:, index].mean()
+            if output.is_total:
+                rows[-1, index] = rows[:, index].sum()
+            elif output.is_mean:
+                rows[-1, index] = rows[:, index].mean()
         return self._sample(sample, rows[-1])
 
     def _save(self, _: bytes) -> bytes:
@@ -286,11 +288,11 @@ class _Connection(BaseRequestHandler):
         assert self._link is not None
         return self._link
 
-    def _outputs(self, sample: SampleView) -> np.ndarray[Any, np.dtype[np.float64]]:
-        values = (output.of(sample) for output in self._interface.outputs)
-        return np.array([nan if value is None else value for value in values])
+    def _outputs(self, sample: SampleView) -> NDArray[np.float64]:
+        outputs: NDArray[np.float64] = sample.values / self._divisors
+        return outputs
 
-    def _sample(self, sample: SampleView, outputs: np.ndarray[Any, np.dtype[np.float64]]) -> bytes:
+    def _sample(self, sample: SampleView, outputs: NDArray[np.float64]) -> bytes:
         flags = Flags.TRUNCATED if sample.truncated else 0
         return encode(Kind.SAMPLE, struct.pack("<II", flags, sample.step) + outputs.astype("<f8").tobytes())
 
@@ -302,10 +304,6 @@ class _Connection(BaseRequestHandler):
             for snapshot in self._snapshots.values():
                 self.gateway.bus.drop(self.gateway.node, snapshot, link.name)
         link.close()
-
-
-def _join(host: str, port: int) -> str:
-    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
 def _number(content: bytes) -> int:

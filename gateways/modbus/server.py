@@ -7,7 +7,6 @@ replies, which Modbus TCP permits; pymodbus's server (3.16) answers only one of 
 from __future__ import annotations
 
 import asyncio
-import socket
 import struct
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from enum import IntEnum
 from time import monotonic
 from typing import NamedTuple, Protocol
 
+from zenostat.gateways.addresses import keep_alive
 from zenostat.gateways.modbus.register_map import Table
 from zenostat.topics.errors import AddressInUse, InvalidConfig
 
@@ -24,7 +24,6 @@ MAX_CONNECTIONS = 32
 FRAME_TIMEOUT_S = 10.0
 """Time after which a connection with an incomplete frame, or whose client does not receive its replies, is closed."""
 
-_KEEPALIVE = {socket.TCP_KEEPIDLE: 30, socket.TCP_KEEPINTVL: 10, socket.TCP_KEEPCNT: 3}
 """A client that has lost its power or its cable is noticed within a minute, since it would occupy a connection."""
 
 _HEADER = struct.Struct(">HHHB")  # transaction, protocol (0), length of what follows, unit
@@ -179,7 +178,7 @@ class ModbusServer:
         task = asyncio.current_task()
         assert task is not None
         connection = self._connections[writer] = _Connection(task, monotonic())
-        _keep_alive(writer.get_extra_info("socket"))
+        keep_alive(writer.get_extra_info("socket"), idle_s=30, interval_s=10, probes=3)
         host = str((writer.get_extra_info("peername") or ("",))[0])
         try:
             while True:
@@ -292,12 +291,6 @@ class ModbusServer:
             text = self._identity[number].encode("ascii", "replace")[:60]
             body += bytes([number, len(text)]) + text
         return bytes([0x0E, category, 0x82, 0, 0, len(listed)]) + body
-
-
-def _keep_alive(connection: socket.socket) -> None:
-    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    for option, value in _KEEPALIVE.items():
-        connection.setsockopt(socket.IPPROTO_TCP, option, value)
 
 
 def _check(is_valid: bool) -> None:  # noqa: FBT001
