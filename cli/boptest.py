@@ -9,7 +9,7 @@ import typer
 
 from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
 from zenostat.cli.console import out
-from zenostat.cli.gateway_clients import Allow, ClientsFile, clients_of, notify
+from zenostat.cli.gateway_clients import Allow, ClientsFile, Expose, clients_of, notify
 from zenostat.cli.options import Emissions, Price
 from zenostat.cli.pairs import read_rates
 from zenostat.topics.addresses import is_loopback
@@ -36,7 +36,7 @@ def boptest(
     max_tests: Annotated[int, typer.Option(min=1, help="Maximum number of tests at a time.")] = 16,
     clients: ClientsFile = None,
     allow: Allow = None,
-    expose: Annotated[bool, typer.Option("--expose", help="Allow addresses reachable from other machines.")] = False,
+    expose: Expose = False,
 ) -> None:
     """Serve BOPTEST's REST interface until Ctrl-C; each test starts a building of its own.
 

@@ -16,7 +16,7 @@ from zenostat.bridge.runtime.service_manager import reported
 from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
 from zenostat.cli.boptest import boptest
 from zenostat.cli.console import err, out
-from zenostat.cli.gateway_clients import Allow, clients_of, notify
+from zenostat.cli.gateway_clients import Allow, Expose, clients_of, notify
 from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus, only_node
 from zenostat.topics.errors import InvalidConfig, NodeNotFound, RequestRejected, ZenostatError
 from zenostat.topics.extras import install_command
@@ -63,7 +63,7 @@ def zeromq(
     ] = 10.0,
     allow: Allow = None,
     wait: Wait = False,
-    expose: Annotated[bool, typer.Option("--expose", help="Allow addresses reachable from other machines.")] = False,
+    expose: Expose = False,
 ) -> None:
     """Run a ZeroMQ gateway until Ctrl-C. With keys, it uses the gateway role.
 

@@ -10,7 +10,7 @@ import typer
 
 from zenostat.cli.console import err, out
 from zenostat.cli.gateway import manifest_of, serve
-from zenostat.cli.gateway_clients import Allow, ClientsFile, clients_of, notify
+from zenostat.cli.gateway_clients import Allow, ClientsFile, Expose, clients_of, notify
 from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
 from zenostat.gateways.addresses import parse_address
 from zenostat.topics.errors import InvalidConfig
@@ -39,7 +39,7 @@ def bacnet(
     ] = None,
     clients: ClientsFile = None,
     allow: Allow = None,
-    expose: Annotated[bool, typer.Option("--expose", help="Allow addresses reachable from other machines.")] = False,
+    expose: Expose = False,
 ) -> None:
     """Run a BACnet/IP device for a node until Ctrl-C. With keys, it uses the gateway role.
 

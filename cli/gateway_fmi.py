@@ -9,7 +9,7 @@ import typer
 
 from zenostat.cli.console import out, until_signal
 from zenostat.cli.gateway import manifest_of
-from zenostat.cli.gateway_clients import Allow, ClientsFile, clients_of, notify
+from zenostat.cli.gateway_clients import Allow, ClientsFile, Expose, Priority, clients_of, notify
 from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
 from zenostat.topics.atomic_file import check_writable
 from zenostat.topics.errors import InvalidConfig
@@ -25,9 +25,7 @@ def fmi(
     address: Annotated[
         str, typer.Option(help="ADDRESS:PORT to listen on; port 0 is any free one.")
     ] = f"127.0.0.1:{DEFAULT_PORT}",
-    priority: Annotated[
-        int, typer.Option(min=1, max=16, metavar="1-16", help="Priority of all commands; 1 is the highest.")
-    ] = 10,
+    priority: Priority = 10,
     fmu: Annotated[
         Path | None,
         typer.Option(
@@ -41,7 +39,7 @@ def fmi(
     allow: Allow = None,
     options: BusOptions = DEFAULTS,
     wait: Wait = False,
-    expose: Annotated[bool, typer.Option("--expose", help="Allow addresses reachable from other machines.")] = False,
+    expose: Expose = False,
 ) -> None:
     """Write the FMU of a node, or run the gateway to which such FMUs connect, until Ctrl-C.
 
@@ -79,11 +77,15 @@ def fmi(
 def _write(node: str, file: Path, address: str, options: BusOptions, *, wait: bool) -> None:
     from zenostat.gateways.fmi.archive import write_fmu
     from zenostat.gateways.fmi.description import Interface
+    from zenostat.topics.addresses import join_address, split_address
 
     if file.suffix != ".fmu":
         raise InvalidConfig(f"--fmu {file}: expected a .fmu file")
     check_writable(file, f"--fmu {file}")
+    target = split_address(address, DEFAULT_PORT)
+    if target is None:
+        raise InvalidConfig(f"--address {address}: expected HOST:PORT, for example 127.0.0.1:{DEFAULT_PORT}")
     interface = Interface(manifest_of(node, options, wait=wait))
-    platforms = write_fmu(interface, file, address if ":" in address else f"{address}:{DEFAULT_PORT}")
+    platforms = write_fmu(interface, file, join_address(*target))
     sizes = f"{counted(len(interface.outputs), 'output')}, {counted(len(interface.actuators), 'actuator')}"
     out.print(f"{file}: {sizes}; binaries for {', '.join(platforms)}")

@@ -9,7 +9,7 @@ import typer
 
 from zenostat.cli.console import out
 from zenostat.cli.gateway import manifest_of, serve
-from zenostat.cli.gateway_clients import Allow, ClientsFile, clients_of, notify
+from zenostat.cli.gateway_clients import Allow, ClientsFile, Expose, Priority, clients_of, notify
 from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.plurals import counted
@@ -23,9 +23,7 @@ def modbus(
     address: Annotated[
         str, typer.Option(help="ADDRESS:PORT to listen on; port 0 is any free one.")
     ] = f"127.0.0.1:{DEFAULT_PORT}",
-    priority: Annotated[
-        int, typer.Option(min=1, max=16, metavar="1-16", help="Priority of all commands; 1 is the highest.")
-    ] = 8,
+    priority: Priority = 8,
     word_order: Annotated[
         str,
         typer.Option(metavar="big|little", help="First word of a 32-bit value: the high one (big) or the low one."),
@@ -38,7 +36,7 @@ def modbus(
     allow: Allow = None,
     options: BusOptions = DEFAULTS,
     wait: Wait = False,
-    expose: Annotated[bool, typer.Option("--expose", help="Allow addresses reachable from other machines.")] = False,
+    expose: Expose = False,
 ) -> None:
     """Run a Modbus TCP gateway of a node until Ctrl-C. With keys, it uses the gateway role.
 

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from zenostat.cli.console import err, out, until_signal
+from zenostat.cli.node_options import Expose
 from zenostat.cli.options import CertificateName, Keys
 
 
@@ -18,7 +19,7 @@ def router(
     connect: Annotated[
         list[str] | None, typer.Option(help="Endpoint of another router, which may start later; repeatable.")
     ] = None,
-    expose: Annotated[bool, typer.Option("--expose", help="Allow connections from other machines.")] = False,
+    expose: Expose = False,
     keys: Keys = None,
     certificate: CertificateName = None,
 ) -> None:
