@@ -306,7 +306,7 @@ def _fuels(objects: ModelObjects) -> tuple[str, ...]:
             own = {field: text for field, text in fields.items() if _FUEL_FIELD.fullmatch(field)}
             if kind == "ZoneHVAC:IdealLoadsAirSystem":
                 own = _IDEAL_LOADS | own
-            elif kind == "Generator:FuelSupply":  # its fuel type is the way in which the composition is given
+            elif kind == "Generator:FuelSupply":  # its field `fuel_type` says how the composition is entered
                 own = {"": "NaturalGas"}
             elif not own and kind in _FUEL_OF:
                 own = {"": _FUEL_OF[kind]}
