@@ -24,8 +24,6 @@ MAX_CONNECTIONS = 32
 FRAME_TIMEOUT_S = 10.0
 """Time after which a connection with an incomplete frame, or whose client does not receive its replies, is closed."""
 
-"""A client that has lost its power or its cable is noticed within a minute, since it would occupy a connection."""
-
 _HEADER = struct.Struct(">HHHB")  # transaction, protocol (0), length of what follows, unit
 _MAX_PDU = 253
 _ON, _OFF = 0xFF00, 0x0000
@@ -178,6 +176,7 @@ class ModbusServer:
         task = asyncio.current_task()
         assert task is not None
         connection = self._connections[writer] = _Connection(task, monotonic())
+        # A client that has lost its power or its cable would occupy a connection; it is noticed within a minute.
         keep_alive(writer.get_extra_info("socket"), idle_s=30, interval_s=10, probes=3)
         host = str((writer.get_extra_info("peername") or ("",))[0])
         try:
