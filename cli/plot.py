@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from datetime import datetime, timedelta
+from datetime import datetime
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -71,7 +71,7 @@ def _print_json(history: History) -> None:
             "slot": history.slot,
             "oldest_step": history.oldest_step,
             "step": history.step.tolist(),
-            "time": [time.isoformat() for time in _times(history)],
+            "time": [time.isoformat() for time in history.time.tolist()],
             "points": {
                 name: {"unit": unit, "values": [None if math.isnan(value) else value for value in values]}
                 for name, unit, values in columns
@@ -80,17 +80,12 @@ def _print_json(history: History) -> None:
     )
 
 
-def _times(history: History) -> list[datetime]:
-    begin, step_s = history.manifest.time_at(0), history.manifest.step_s
-    return [begin + timedelta(seconds=step * step_s) for step in history.step.tolist()]
-
-
 def _print_charts(history: History, height: int) -> None:
     from rich.text import Text
 
     from zenostat.cli.chart import COLORS, chart, label_width, scale_of
 
-    times, is_colored = _times(history), out.is_terminal and not out.no_color and out.color_system is not None
+    times, is_colored = history.time.tolist(), out.is_terminal and not out.no_color and out.color_system is not None
     out.print(_title(history, times))
     of_unit = {
         unit: [name for name, own in zip(history.points, history.units, strict=True) if own == unit]
