@@ -13,12 +13,12 @@ from zenostat.agent_sdk.controllers.base import Controller, Values
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
 from zenostat.agent_sdk.controllers.predictor import Predictor, describe_difference
 from zenostat.agent_sdk.envs import spaces
-from zenostat.agent_sdk.envs.action_values import Actions
+from zenostat.agent_sdk.envs.action_values import Actions, named_values
 from zenostat.agent_sdk.envs.time_features import time_features
 from zenostat.agent_sdk.vec_normalization import normalization_of
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.extras import requires_extra
-from zenostat.topics.messages import CommandOp, Manifest
+from zenostat.topics.messages import Manifest
 from zenostat.topics.points import observed_indices
 
 with requires_extra("train", "training", "stable-baselines3"):
@@ -100,14 +100,7 @@ class PolicyController(Controller):
         if self._normalization is not None:
             observation = self._normalization.normalize_obs(observation)
         values, operations = self._actions.command(self._predictor.action(observation), sample.fault_free_values, {})
-        commands = zip(
-            self.manifest.actuators, values.tolist(), operations or [CommandOp.SET] * len(values), strict=True
-        )
-        return {
-            actuator.name: value if operation == CommandOp.SET else None
-            for actuator, value, operation in commands
-            if operation != CommandOp.KEEP
-        }
+        return named_values(self.manifest, values, operations)
 
 
 def _dimension_names(manifest: Manifest, kind: str) -> list[str]:

@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from zenostat.agent_sdk.controllers.base import Controller, Values
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
 from zenostat.agent_sdk.controllers.predictor import Predictor, describe_difference
+from zenostat.agent_sdk.envs.action_values import named_values
 from zenostat.agent_sdk.envs.arguments import FROM_SCENARIO
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.agent_sdk.rewards.reward_reader import CUSTOM
 from zenostat.agent_sdk.wrappers.checkpoint import LOGS, frozen_statistics, set_wrapper_states, without_logs
 from zenostat.agent_sdk.wrappers.serialization import apply_wrappers
 from zenostat.bridge.client.sample import SampleView
-from zenostat.topics.messages import Ack, CommandOp, EngineStart, EpisodeStart, Manifest, WeatherSeries
+from zenostat.topics.messages import Ack, EngineStart, EpisodeStart, Manifest, WeatherSeries
 
 
 class WrappedPolicy(Controller):
@@ -176,15 +177,7 @@ class _SampleQueue:
 
     def send(self, values: NDArray[np.float64], operations: bytes | None = None) -> None:
         """Pass the commands on."""
-        codes = operations or bytes([CommandOp.SET] * len(values))
-        commands = zip(self.manifest.actuators, values.tolist(), codes, strict=True)
-        self.commands.put(
-            {
-                actuator.name: value if code == CommandOp.SET else None
-                for actuator, value, code in commands
-                if code != CommandOp.KEEP
-            }
-        )
+        self.commands.put(named_values(self.manifest, values, operations))
 
     def weather(self, columns: Sequence[str]) -> WeatherSeries:
         """Return columns of the weather of the node's episode."""

@@ -220,6 +220,22 @@ class Actions:
         return values
 
 
+def named_values(manifest: Manifest, values: NDArray[np.float64], operations: bytes | None) -> dict[str, float | None]:
+    """Return a command by actuator; None relinquishes one, and those that it keeps are not in it.
+
+    Args:
+        manifest: The node's manifest.
+        values: A value for each actuator, shape (actuators,).
+        operations: A `CommandOp` byte for each; None: all are set.
+    """
+    codes = operations or bytes([CommandOp.SET] * len(values))
+    return {
+        actuator.name: value if code == CommandOp.SET else None
+        for actuator, value, code in zip(manifest.actuators, values.tolist(), codes, strict=True)
+        if code != CommandOp.KEEP
+    }
+
+
 def _slot_prefix(slot: list[int]) -> str:
     return f"slot {slot[0]}: " if slot else ""
 
