@@ -51,6 +51,11 @@ ROW = {
 }  # fmt: skip
 UNITS = [p.unit for p in (*NODE.sensors, *NODE.meters)]
 samples = st.tuples(*(ROW[unit] for unit in UNITS)).map(np.array)
+batches = arrays(
+    np.float64,
+    st.sampled_from([(2, 3), (0, 3), (3,)]).map(lambda shape: (*shape, len(UNITS))),
+    elements=st.floats(0.0, 50.0),
+)
 moments = st.datetimes(datetime(2016, 1, 1), datetime(2017, 12, 31)).map(lambda m: m.replace(minute=0, second=0))
 HAVE_LIBRARY = importlib.util.find_spec("pythermalcomfort") is not None
 KINDS = sorted(kind for kind in MINIMAL_FIELDS if kind != "thermal_sensation" or HAVE_LIBRARY)
@@ -58,7 +63,6 @@ KINDS = sorted(kind for kind in MINIMAL_FIELDS if kind != "thermal_sensation" or
 kinds = st.sampled_from(KINDS)
 
 
-@pytest.mark.slow
 @settings(max_examples=examples(200), deadline=None)
 @given(kinds, st.lists(st.tuples(samples, moments), min_size=1, max_size=4), st.floats(0.0, 0.5))
 def test_rewards__reward_is_the_sum_of_its_terms_and_none_is_positive(
@@ -71,9 +75,9 @@ def test_rewards__reward_is_the_sum_of_its_terms_and_none_is_positive(
         assert all(term <= 0.0 for term in got.terms.values())
         assert all(np.ndim(number) == 0 and math.isfinite(number) for number in (*got.terms.values(), got.reward))
         assert all(np.ndim(number) == 0 for number in got.metrics.values())
+        assert got.metrics.get("degrees_outside", 0.0) >= 0.0
 
 
-@pytest.mark.slow
 @settings(max_examples=examples(100), deadline=None)
 @given(kinds, st.lists(st.tuples(samples, moments), min_size=1, max_size=4))
 def test_rewards__slots_are_what_each_of_them_is_alone(kind: str, slots: list[tuple[Array, datetime]]) -> None:
@@ -93,14 +97,15 @@ def test_rewards__slots_are_what_each_of_them_is_alone(kind: str, slots: list[tu
                 assert column == pytest.approx([getattr(single, name)[key] for single in singles])
 
 
-@pytest.mark.slow
 @settings(max_examples=examples(60), deadline=None)
-@given(kinds, moments, arrays(np.float64, (2, 3, len(UNITS)), elements=st.floats(0.0, 50.0)))
+@given(kinds, moments, batches)
 def test_rewards__one_begin_does_for_any_leading_shape(kind: str, begin: datetime, batch: Array) -> None:
+    shape = batch.shape[:-1]
     got = reward_config(kind).bind(NODE)(batch, begin)
-    assert got.reward.shape == (2, 3)
-    assert all(term.shape == (2, 3) for term in (*got.terms.values(), *got.metrics.values()))
-    assert got.reward[1, 2] == pytest.approx(reward_config(kind).bind(NODE)(batch[1, 2], begin).reward)
+    assert got.reward.shape == shape
+    assert all(term.shape == shape for term in (*got.terms.values(), *got.metrics.values()))
+    for index in np.ndindex(shape):
+        assert got.reward[index] == pytest.approx(reward_config(kind).bind(NODE)(batch[index], begin).reward)
 
 
 @settings(max_examples=examples(60), deadline=None)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 from pydantic import ValidationError
 from support.builders import manifest, meter, sensor
 
@@ -134,41 +133,9 @@ def test_rewards__year_and_the_hour_do_not_matter(moment: datetime, spans: bool)
     assert (reward.band(moment) == reward.summer) == (moment.month in summer_months)
 
 
-# Shapes
-
-
-def test_rewards__one_sample_gives_one_number() -> None:
-    reward, terms, measures = LinearReward().bind(NODE)(values(21.0, 22.0, 1000.0), WINTER)
-    assert np.ndim(reward) == 0
-    assert isinstance(float(reward), float)
-    assert all(np.ndim(term) == 0 for term in (*terms.values(), *measures.values()))
-
+# How far outside
 
 finite = st.floats(-1e6, 1e6)
-many = arrays(np.float64, st.tuples(st.integers(0, 3), st.integers(1, 3), st.just(5)), elements=finite)
-
-
-@given(many, st.sampled_from([WINTER, SUMMER]), st.floats(0, 1))
-def test_rewards__reward_has_the_leading_shape_and_is_that_of_each_sample(
-    batch: np.ndarray[Any, Any], begin: datetime, weight: float
-) -> None:
-    bound = LinearReward(weight=weight).bind(NODE)
-    reward, terms, measures = bound(batch, begin)
-    assert reward.shape == batch.shape[:-1]
-    assert all(term.shape == batch.shape[:-1] for term in (*terms.values(), *measures.values()))
-    for index in np.ndindex(batch.shape[:-1]):
-        assert bound(batch[index], begin)[0] == pytest.approx(reward[index])
-
-
-@given(finite, finite, st.floats(0, 1e6), st.sampled_from([WINTER, SUMMER]), st.floats(0, 1))
-def test_rewards__reward_is_the_sum_of_its_terms_and_none_is_positive(
-    north: float, south: float, power_w: float, begin: datetime, weight: float
-) -> None:
-    reward, terms, measures = LinearReward(weight=weight).bind(NODE)(values(north, south, power_w), begin)
-    assert reward == terms["energy"] + terms["comfort"]
-    assert terms["energy"] <= 0.0
-    assert terms["comfort"] <= 0.0
-    assert measures["degrees_outside"] >= 0.0
 
 
 @given(finite, st.floats(0, 10))
