@@ -61,7 +61,7 @@ class PolicyController(Controller):
         normalization: Normalization of its observations; left out, that of the model's environment, if it has one.
 
     Raises:
-        ControllerMismatch: It was trained on other observations or actions than the node's.
+        ControllerMismatch: It was trained on other observations or actions than the node's, or takes action masks.
         InvalidConfig: It was trained behind a `VecNormalize` that is missing.
     """
 

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import inspect
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import gymnasium as gym
 import numpy as np
+
+from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
+
+_MASKS = "action_masks"
+"""Argument of a model's `predict`, and the environment's method that returns it, by sb3-contrib's convention."""
 
 
 class Model(Protocol):
@@ -22,20 +28,43 @@ class Model(Protocol):
 
 
 class Predictor:
-    """A model's actions during an episode; it keeps the state of a recurrent model."""
+    """A model's actions during an episode; it keeps the state of a recurrent model.
 
-    def __init__(self, model: Model) -> None:
+    Args:
+        model: The model. One that takes action masks, such as `MaskablePPO`, gets those of the environment.
+        env: The environment of the episode, within the wrappers of the training; None if the model acts without one.
+
+    Raises:
+        ControllerMismatch: The model takes action masks, and the environment has none.
+    """
+
+    def __init__(self, model: Model, env: gym.Env[Any, Any] | None = None) -> None:
         self._model = model
+        self._masks = _action_masks(model, env)
         self._state: Any = None
         self._first = np.array([True])
 
     def action(self, observation: Any) -> Any:
         """Return the model's action without exploration."""
+        masks = {} if self._masks is None else {_MASKS: self._masks()}
         action, self._state = self._model.predict(
-            observation, state=self._state, episode_start=self._first, deterministic=True
+            observation, state=self._state, episode_start=self._first, deterministic=True, **masks
         )
         self._first = np.array([False])
         return action
+
+
+def _action_masks(model: Model, env: gym.Env[Any, Any] | None) -> Callable[[], Any] | None:
+    """Return the function of the current masks of the actions; None if the model takes none."""
+    if _MASKS not in inspect.signature(model.predict).parameters:
+        return None
+    if env is None or not env.has_wrapper_attr(_MASKS):
+        raise ControllerMismatch(
+            f"a model of {type(model).__name__} needs the masks of its actions, and this environment has no method "
+            f"{_MASKS}(); evaluate it in an environment that has it: evaluate_model(model, env)"
+        )
+    masks: Callable[[], Any] = env.get_wrapper_attr(_MASKS)
+    return masks
 
 
 def describe_difference(trained: gym.Space[Any], current: gym.Space[Any], names: Sequence[str] = ()) -> str:

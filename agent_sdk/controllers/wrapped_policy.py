@@ -41,7 +41,8 @@ class WrappedPolicy(Controller):
         states: what they have learnt, from the outermost; see `zenostat.wrappers.save_wrappers`.
 
     Raises:
-        ControllerMismatch: the node's observations or actions within the wrappers are not those of the training.
+        ControllerMismatch: the node's observations or actions within the wrappers are not those of the training, or
+            the model takes action masks, and the wrappers have none.
     """
 
     sets_context = True
@@ -73,6 +74,7 @@ class WrappedPolicy(Controller):
                         f"the model was trained on other {kind}s than those of {manifest.node!r} within the wrappers "
                         f"of its training: {describe_difference(trained, current)}; use the scenario of its training"
                     )
+            Predictor(model, env)
             self._restore(env)
 
     @contextmanager
@@ -121,7 +123,7 @@ class WrappedPolicy(Controller):
         try:
             with self._environment(link) as env:
                 self._restore(env)
-                predictor, (observation, _) = Predictor(self._model), env.reset(seed=seed)
+                predictor, (observation, _) = Predictor(self._model, env), env.reset(seed=seed)
                 while True:
                     if self._normalization is not None:
                         observation = self._normalization.normalize_obs(observation)

@@ -190,11 +190,14 @@ def evaluate_model(
     """Run episodes of a model without exploration, in an environment within the same wrappers as in its training.
 
     Observations pass through the model's `VecNormalize` if it has one. Neither that nor Gymnasium's running statistics
-    around `env` learn from them. Episode k is reset with `seed + k`. The reward has forgotten earlier evaluations.
+    around `env` learn from them. A model that takes action masks, such as sb3-contrib's `MaskablePPO`, gets those of
+    the environment's method `action_masks`. Episode k is reset with `seed + k`. The reward has forgotten earlier
+    evaluations.
 
     Raises:
         InvalidConfig: The model was trained behind a `VecNormalize` but loaded without it; the environment is not a
-            single one of a building, or has other observations or actions than the model; `episodes` is below 1.
+            single one of a building, has other observations or actions than the model, or lacks `action_masks` that
+            the model takes; `episodes` is below 1.
     """
     if episodes < 1:
         raise InvalidConfig(f"episodes={episodes}; a number of at least 1 expected")
@@ -204,7 +207,7 @@ def evaluate_model(
         renew()
     results = []
     for number in range(episodes):
-        predictor = Predictor(model)
+        predictor = Predictor(model, env)
 
         def act(observation: Any, predictor: Predictor = predictor) -> Any:
             return predictor.action(observation if normalization is None else normalization.normalize_obs(observation))
