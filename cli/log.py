@@ -34,13 +34,12 @@ def log(
     from zenostat import recording
 
     with warnings_printed():
-        loaded = recording.load(file)
+        entries = recording.load_log(file)
         _check_chain(file)
-    entries = loaded.log
     if source is not None:
+        known = dict.fromkeys(entry.source for entry in entries if entry.source)
         entries = tuple(entry for entry in entries if fnmatchcase(entry.source, source))
         if not entries:
-            known = dict.fromkeys(entry.source for entry in loaded.log if entry.source)
             raise UnknownName(f"no messages of {source!r} in {file}; {did_you_mean(source, known)}")
     if rejected:
         entries = tuple(entry for entry in entries if not entry.is_accepted)

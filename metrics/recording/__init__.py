@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from zenostat.metrics.recording.data import Recording
 from zenostat.metrics.recording.export import write_csv, write_parquet
-from zenostat.metrics.recording.load import load
+from zenostat.metrics.recording.load import load, load_log
 from zenostat.metrics.recording.log import LogEntry
 from zenostat.metrics.recording.mcap_export import write_mcap
 from zenostat.metrics.trajectory import Trajectory
@@ -18,6 +18,7 @@ __all__ = [
     "Recording",
     "Trajectory",
     "load",
+    "load_log",
     "write_csv",
     "write_mcap",
     "write_parquet",

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from zenostat.metrics.episode_weather import EpisodeWeather, read_weather
 from zenostat.metrics.recording.data import Recording
-from zenostat.metrics.recording.log import LogBuilder
+from zenostat.metrics.recording.log import LogBuilder, LogEntry
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.topics import codec
 from zenostat.topics.errors import BadMessage, InvalidRecording
@@ -43,8 +44,6 @@ def load(path: str | Path) -> Recording:
         InvalidConfig: The extra `recording` is not installed.
         InvalidRecording: The file is not a recording, of a newer release, or damaged.
     """
-    with requires_extra("recording", "a recording", "mcap and zstandard"):
-        from zenostat.bridge.recording.reader import RecordingReader
     events: list[tuple[datetime, Event]] = []
     log = LogBuilder()
 
@@ -56,7 +55,7 @@ def load(path: str | Path) -> Recording:
         else:
             log.add(item, simulated)
 
-    with RecordingReader(path) as reader:
+    with _open(path) as reader:
         episodes = sorted(read_trajectories(reader, add), key=lambda episode: (episode.number, episode.slot))
         end = reader.end
         if end.text:
@@ -72,6 +71,47 @@ def load(path: str | Path) -> Recording:
             is_complete=end.is_complete,
             note=end.text,
         )
+
+
+def load_log(path: str | Path) -> tuple[LogEntry, ...]:
+    """Read only the log of a recording, without its values in memory; the same as `load(path).log`.
+
+    Raises:
+        InvalidConfig: As for `load`.
+        InvalidRecording: As for `load`; samples are not checked.
+    """
+    log, sample = LogBuilder(), b""
+    with _open(path) as reader, _damage_named(reader):
+        for item in reader.messages():
+            if item.schema == "Sample":
+                sample = item.payload
+            elif item.schema == "Event":
+                log.add_event(codec.decode(Event, item.payload), item.time_ns)
+            elif item.schema not in _SCHEMAS:
+                log.add(item, _simulated(msgpack.unpackb(sample)) if sample else "")
+        if reader.end.text:
+            warnings.warn(f"{path}: {reader.end.text}", stacklevel=2)
+    return log.finish()
+
+
+def _open(path: str | Path) -> RecordingReader:
+    with requires_extra("recording", "a recording", "mcap and zstandard"):
+        from zenostat.bridge.recording.reader import RecordingReader
+    return RecordingReader(path)
+
+
+@contextmanager
+def _damage_named(reader: RecordingReader) -> Iterator[None]:
+    """Raise what a message that cannot be read causes as an `InvalidRecording`."""
+    try:
+        yield
+    except (BadMessage, LookupError, TypeError, ValueError) as error:
+        raise InvalidRecording(f"{reader.path} is damaged: a message cannot be read ({error})") from None
+
+
+def _simulated(sample: Mapping[str, Any]) -> str:
+    """Return the simulated time of slot 0 of a sample's fields."""
+    return replace_controls(sample["time"][0])
 
 
 def _of_one_table(episodes: list[Trajectory]) -> tuple[Trajectory, ...]:
@@ -102,15 +142,13 @@ def read_trajectories(
         InvalidRecording: The recording is damaged.
     """
     division = _Division(reader.manifest)
-    try:
+    with _damage_named(reader):
         for item in reader.messages(_SCHEMAS if add is None else None):
             if item.schema in _SCHEMAS:
                 yield from division.add(item)
             elif add is not None:
                 add(item, division.time)
         yield from division.finish()
-    except (BadMessage, LookupError, TypeError, ValueError) as error:
-        raise InvalidRecording(f"{reader.path} is damaged: a message cannot be read ({error})") from None
 
 
 class _Division:
@@ -157,7 +195,7 @@ class _Division:
         tables.append(("orders", self._order or self._relinquished, self._widths["effective"]))
         tables.append(("fault_free_values", sample["fault_free_values"] or sample["values"], self._widths["values"]))
         has_faults, self._order = bool(sample["fault_free_values"]), None
-        self.time = replace_controls(sample["time"][0])
+        self.time = _simulated(sample)
         if sample["sources"] != self._mapping[0]:
             names = map(replace_controls, sample["sources"])
             indices = [self._sources.setdefault(name, len(self._sources)) for name in names]

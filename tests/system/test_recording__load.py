@@ -152,6 +152,7 @@ def test_recording__log_has_senders_times_and_results(seen: Any) -> None:
     assert [e.kind for e in loaded.log if e.source == seen.name][:2] == ["claim", "reset"]
     times = [e.time for e in loaded.log]
     assert times == sorted(times)
+    assert recording.load_log(seen.path) == loaded.log
 
 
 def test_recording__log_command_selects_by_source(seen: Any) -> None:
@@ -211,6 +212,8 @@ def test_recording__cut_file_is_loaded_up_to_its_last_chunk_and_is_reported(seen
         loaded = recording.load(cut)
     assert not loaded.is_complete
     assert "cut off" in loaded.note
+    with pytest.warns(UserWarning, match="it was cut off after byte"):
+        assert recording.load_log(cut) == loaded.log
     assert 0 < sum(map(len, loaded.episodes)) < 38
 
 
