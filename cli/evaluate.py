@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from zenostat.cli.console import err, out, progress
+from zenostat.cli.name_lists import end_with_failures
 from zenostat.cli.node_options import Begin, End
 from zenostat.cli.options import Emissions, Price
 from zenostat.cli.pairs import read_parameters, read_rates
@@ -70,7 +71,8 @@ def evaluate(
     Example: `zenostat evaluate 5zone-hot-continuous-v1 --controller baseline --controller rbc --begin 07-01 --end
     07-07 --episodes 3 --out results.parquet`
 
-    A controller that does not fit the scenario is skipped with a message; the others still run.
+    A controller that does not fit the scenario is skipped with a message; the others still run. They do so as well if
+    one fails, with an error of its own code; the exit code is then 1.
     """
     if file is not None:
         check_file(file)
@@ -94,11 +96,12 @@ def evaluate(
         err.print(f"{name} is skipped: {reason}")
     if as_json:
         show_json(evaluation.table())
-        return
-    _show(evaluation, f"{scenario}, {counted(episodes, 'episode')} each, seed {seed}")
-    if file is not None:
-        out.print(f"episodes: {file}")
-    outputs.show()
+    else:
+        _show(evaluation, f"{scenario}, {counted(episodes, 'episode')} each, seed {seed}")
+        if file is not None:
+            out.print(f"episodes: {file}")
+        outputs.show()
+    end_with_failures([f"{name}: {error}" for name, error in evaluation.failures.items()], "failed: ")
 
 
 def watcher(stack: ExitStack, episodes: int) -> Progress:

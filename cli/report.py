@@ -74,4 +74,6 @@ def _evaluate_training(folder: Path, prices: Mapping[str, Rate], emissions: Mapp
     )  # fmt: skip
     for name, reason in evaluation.unfit.items():
         err.print(f"{name} is skipped: {reason}")
+    for name, error in evaluation.failures.items():
+        raise InvalidConfig(f"{name} failed: {error}")
     return evaluation.comparison(command_line())

@@ -30,7 +30,7 @@ from zenostat.agent_sdk.wrappers.names import layers
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.faults import read_plan
-from zenostat.bridge.runtime.user_code import refuse_exit
+from zenostat.bridge.runtime.user_code import describe_user_error, refuse_exit
 from zenostat.lab.scenario_context import context_wrappers, within_context
 from zenostat.lab.scenario_env import add_monitoring
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
@@ -39,7 +39,7 @@ from zenostat.metrics.fuel_rates import Rate, read_emissions, read_prices
 from zenostat.metrics.statistics import MetricSummary, summarize
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
-from zenostat.topics.errors import InvalidAction, InvalidConfig, UsageError, did_you_mean, repeated
+from zenostat.topics.errors import InvalidAction, InvalidConfig, UsageError, ZenostatError, did_you_mean, repeated
 from zenostat.topics.keys import safe_name
 from zenostat.topics.printable import replace_controls
 from zenostat.topics.recording import SUFFIX
@@ -179,6 +179,7 @@ class Evaluation:
         rows: records by controller, then by episode.
         sources: by metric, the point or reward that it is derived from.
         unfit: by controller that was skipped since it does not fit the scenario, the reason.
+        failures: by controller whose episodes ended with an error, as of its own code, the error; it has no rows.
         traces: by controller, samples and weather for reports; empty unless `evaluate` was called with `trace=True`.
         scenario: the scenario as the text of a scenario file (YAML); only with `trace=True`.
     """
@@ -186,6 +187,7 @@ class Evaluation:
     rows: tuple[EpisodeRecord, ...]
     sources: dict[str, str]
     unfit: dict[str, str] = field(default_factory=dict)
+    failures: dict[str, str] = field(default_factory=dict)
     traces: dict[str, ControllerTrace] = field(default_factory=dict)
     scenario: str = ""
 
@@ -226,7 +228,8 @@ class Evaluation:
                     reward=traced.reward,
                 )
             )
-        return Comparison(tuple(runs), self.scenario, command, self.unfit, self.sources)
+        failed = {name: f"it failed: {error}" for name, error in self.failures.items()}
+        return Comparison(tuple(runs), self.scenario, command, self.unfit | failed, self.sources)
 
     def report(self, path: str | Path, *, command: str = "") -> None:
         """Write a report as one HTML file; see `comparison`, and `zenostat.report` for the figures as files.
@@ -270,7 +273,8 @@ def evaluate(
     Episode k is reset with `seed + k` for each controller, so that all have the same weather; a controller with a
     parameter `seed` gets `seed`. Each controller runs in a new environment. Results are reproducible. A controller
     that does not fit the scenario, or whose commands no action can express, is skipped with a reason in
-    `Evaluation.unfit`.
+    `Evaluation.unfit`. After an error in the episodes of a controller, or an end of the program in its code, the others
+    still run, and `Evaluation.failures` has the error.
 
     Args:
         scenario: an id, a scenario file (.yaml), or arguments of `BuildingEnv` by name.
@@ -293,6 +297,7 @@ def evaluate(
 
     Raises:
         UsageError: a controller, a parameter or the scenario is invalid, or no controller fits the scenario.
+        Exception: that of the first controller that failed, if no other one has any result.
     """
     if episodes < 1 or seed < 0:
         raise InvalidConfig(f"episodes={episodes}, seed={seed}: expected at least one episode and a seed of at least 0")
@@ -308,6 +313,7 @@ def evaluate(
     sources: dict[str, str] = {}
     created: dict[str, ControllerProtocol] = {}
     unfit: dict[str, UsageError] = {}
+    failures: dict[str, Exception] = {}
     traces: dict[str, ControllerTrace] = {}
     text = ""
     for name in sorted(factories, key=lambda key: is_baseline_factory(factories[key])):
@@ -331,15 +337,23 @@ def evaluate(
                         text = _scenario_text(env) if not (text and is_baseline) else text
                 except InvalidAction as error:
                     unfit[name] = error
+                except Exception as error:  # of a user's controller; the others still run
+                    failures[name] = error
             sources = MetricsAccumulator(env.manifest, env.reward, prices, emissions).sources | sources
     if not rows:
-        raise next(iter(unfit.values()))
+        raise next(iter((failures | unfit).values()))
     reasons = {name: str(unfit[name]) for name in factories if name in unfit}
+    errors = {name: _error_text(failures[name]) for name in factories if name in failures}
     in_order = sorted(traces, key=lambda key: (not is_baseline_factory(factories[key]), list(factories).index(key)))
     return Evaluation(
-        tuple(row for name in factories for row in rows.get(name, ())), sources, reasons,
+        tuple(row for name in factories for row in rows.get(name, ())), sources, reasons, errors,
         {name: traces[name] for name in in_order}, text,
     )  # fmt: skip
+
+
+def _error_text(error: Exception) -> str:
+    """Return the text of an error; of one of a controller's code with its type, file and line."""
+    return str(error) if isinstance(error, ZenostatError) else describe_user_error(error)
 
 
 def _scenario_text(env: BuildingEnv) -> str:

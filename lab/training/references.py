@@ -51,7 +51,7 @@ def evaluate_references(config: TrainingConfig, folder: Path) -> None:
     except UsageError as error:
         warnings.warn(f"evaluation.references: {error}", stacklevel=2)
         return
-    for name, reason in result.unfit.items():
+    for name, reason in (result.unfit | result.failures).items():
         warnings.warn(f"evaluation.references: {name}: {reason}", stacklevel=2)
     _write(result, folder / REFERENCES)
 

@@ -1,6 +1,7 @@
 """Metrics of an episode, against numbers worked out by hand; and controllers compared on a made-up building."""
 
 import math
+import re
 import sys
 from collections.abc import Callable
 from datetime import datetime, timedelta
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from gymnasium.wrappers import MaxAndSkipObservation, RepeatAction, TimeLimit
 from support.builders import actuator, manifest, meter, own_action, sensor
+from support.run_cli import run_in_process
 
 from zenostat.agent_sdk.controllers import Agent, Controller, FixedSetpoints, RandomController, RuleBasedController
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
@@ -312,6 +314,34 @@ class Exits(Controller):
 def test_evaluation__controller_that_ends_the_program_is_an_error(*, at_once: bool) -> None:
     with pytest.raises(InvalidConfig, match=r"ended the program: test_evaluation\.py, line \d+: SystemExit: 0"):
         evaluate(building(), {"exits": partial(Exits, at_once=at_once)})
+
+
+class Broken(Controller):
+    """A controller whose code raises an error in its first step."""
+
+    def act(self, sample: SampleView) -> dict[str, float]:
+        return {"zone_1_cooling_setpoint": 24.0 / sample.step}
+
+
+def test_evaluation__other_controllers_run_after_one_that_fails() -> None:
+    evaluation = evaluate(building(), {"exits": Exits, "rbc": "rbc", "broken": Broken}, trace=True)
+    assert evaluation.rows == evaluate(building(), ["rbc"]).rows
+    assert list(evaluation.failures) == ["exits", "broken"]
+    assert re.search(r"ended the program: test_evaluation\.py, line \d+: SystemExit: 0", evaluation.failures["exits"])
+    assert re.match(r"test_evaluation\.py, line \d+: ZeroDivisionError: ", evaluation.failures["broken"])
+    assert list(evaluation.traces) == ["rbc"]
+    assert list(evaluation.comparison().unfit) == ["exits", "broken"]
+    with pytest.raises(ZeroDivisionError):
+        evaluate(building(), {"broken": Broken})
+
+
+def test_evaluate_command__names_what_failed_and_ends_with_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    evaluation = evaluate(building(), {"rbc": "rbc", "broken": Broken})
+    monkeypatch.setattr("zenostat.lab.evaluate.evaluate", lambda *_, **__: evaluation)
+    done = run_in_process("evaluate", "some-id", "--controller", "rbc", "--controller", "broken")
+    assert done.returncode == 1
+    assert "failed: broken: test_evaluation.py, line" in done.stderr
+    assert "rbc" in done.stdout
 
 
 def test_evaluation__signal_ends_the_program_also_within_a_controller() -> None:
