@@ -10,12 +10,14 @@ class Counts:
     """Numbers of published samples, of samples and events dropped as the broker was slow or away, and of commands.
 
     Attributes:
+        lost_results: results of commands that were dropped as the broker was slow or away.
         denied: rejected commands that their client may not send.
         refused: messages and subscriptions of the gateway that the broker rejected.
     """
 
     samples: int = 0
     dropped: int = 0
+    lost_results: int = 0
     accepted: int = 0
     rejected: int = 0
     denied: int = 0

@@ -152,9 +152,10 @@ class MqttGateway:
     def summary(self) -> str:
         """Return counts for the last line."""
         counts = self.counts
+        lost = f", {counts.lost_results} of their results dropped" if counts.lost_results else ""
         return (
             f"{counts.samples} samples published, {counts.dropped} samples and events dropped; "
-            f"{counts.accepted} commands accepted, {counts.rejected} rejected, {counts.denied} of them denied; "
+            f"{counts.accepted} commands accepted, {counts.rejected} rejected, {counts.denied} of them denied{lost}; "
             f"{counts.refused} messages refused by the broker, {counts.reconnections} reconnections"
         )
 
@@ -282,11 +283,13 @@ class MqttGateway:
 
     async def _publish_next(self, client: BrokerClient) -> None:
         if self._results:
-            await self._publish_result(client, self._results[0])
-            self._results.popleft()  # only now: it is published again if the connection was lost meanwhile
+            result = self._results[0]
+            await self._publish_result(client, result)
+            _remove_first(self._results, result)  # only now: it is published again if the connection was lost meanwhile
         elif self._events:
-            await client.send(f"{self._root}/event", self._events[0], qos=1)
-            self._events.popleft()
+            event = self._events[0]
+            await client.send(f"{self._root}/event", event, qos=1)
+            _remove_first(self._events, event)
         elif self._samples:
             self.counts.samples += await client.send(f"{self._root}/sample", self._samples.popleft())
 
@@ -437,7 +440,22 @@ class MqttGateway:
         self.counts.rejected += not is_accepted
         own = self._result_topic(received.actuator, received.user)
         if is_topic(own):  # it is longer than the topic of the command
-            self._results.append(Result(own, text, received.correlation))
+            self._queue_result(Result(own, text, received.correlation))
         if received.reply_topic:
-            self._results.append(Result(received.reply_topic, text, received.correlation, _ATTEMPTS))
+            self._queue_result(Result(received.reply_topic, text, received.correlation, _ATTEMPTS))
+
+    def _queue_result(self, result: Result) -> None:
+        if len(self._results) == MAX_RESULTS:
+            self.counts.lost_results += 1
+            if self.counts.lost_results == 1:
+                self._notify(
+                    f"{MAX_RESULTS:,} results of commands wait for the broker; from now on the oldest are dropped"
+                )
+        self._results.append(result)
         self._has_output.set()
+
+
+def _remove_first(waiting: deque[T], item: T) -> None:
+    """Remove an item from the front of a queue, unless a full queue has dropped it meanwhile."""
+    if waiting and waiting[0] is item:
+        waiting.popleft()

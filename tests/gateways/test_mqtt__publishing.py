@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import pytest
 
 from zenostat.gateways.mqtt.broker import Broker, connect
-from zenostat.gateways.mqtt.gateway import MAX_WAITING, MqttGateway
+from zenostat.gateways.mqtt.commands import Received
+from zenostat.gateways.mqtt.gateway import MAX_RESULTS, MAX_WAITING, MqttGateway
 from zenostat.topics.errors import BusError
 from zenostat.topics.messages import Event, EventKind
 
@@ -52,6 +53,37 @@ def test_mqtt__events_that_are_dropped_are_counted(gateway: MqttGateway) -> None
     for number in range(MAX_WAITING + 5):
         gateway._on_event(Event(kind=EventKind.WRITTEN, text=str(number)))
     assert "5 samples and events dropped" in gateway.summary()
+
+
+def test_mqtt__results_that_are_dropped_are_counted_and_reported_once() -> None:
+    notices: list[str] = []
+    gateway = MqttGateway(SimpleNamespace(name="office"), Broker("localhost", 1883), notify=notices.append)
+    command = Received(None, "setpoint", b"26", is_retained=False, reply_topic=None, own_topic=None, correlation=None)
+    for number in range(MAX_RESULTS):
+        gateway._reply(command, str(number), is_accepted=True)
+    assert "results dropped" not in gateway.summary()
+    assert not notices
+    for number in range(3):
+        gateway._reply(command, str(number), is_accepted=True)
+    assert f"{MAX_RESULTS + 3} commands accepted, 0 rejected, 0 of them denied, 3 of their results" in gateway.summary()
+    assert notices == ["20,000 results of commands wait for the broker; from now on the oldest are dropped"]
+
+
+async def test_mqtt__event_that_was_dropped_while_it_was_published_takes_no_other_with_it(gateway: MqttGateway) -> None:
+    """The queue is full when one more event comes in the meantime, which drops the one in transit from it."""
+    gateway._events.extend(str(number) for number in range(MAX_WAITING))
+    published: list[str] = []
+
+    class SlowBroker:
+        async def send(self, _: str, text: str, **__: object) -> bool:
+            published.append(text)
+            if len(published) == 1:
+                gateway._queue(gateway._events, "last")
+            return True
+
+    while gateway._events:
+        await gateway._publish_next(SlowBroker())
+    assert published == [*(str(number) for number in range(MAX_WAITING)), "last"]
 
 
 async def test_mqtt__broker_that_ends_the_connection_without_an_answer_is_said_to_do_so() -> None:
