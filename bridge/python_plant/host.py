@@ -59,7 +59,7 @@ def close(plant: Any) -> None:
     try:
         if callable(getattr(plant, "close", None)):
             plant.close()
-    except (Exception, SystemExit) as error:
+    except BaseException as error:
         sys.stderr.write(f"{type(plant).__name__}.close() raised an error\n{users_traceback(error)}\n")
 
 
@@ -111,7 +111,7 @@ class PlantHost:
             return function(*arguments)
         except ZenostatError as error:
             raise PlantError(str(error)) from None
-        except (Exception, SystemExit) as error:
+        except BaseException as error:  # such as a SystemExit or a KeyboardInterrupt of the user's code
             raise PlantError(f"{self._name}.{method}() raised an error\n{users_traceback(error)}") from None
 
     @property
@@ -294,7 +294,7 @@ def print_description() -> NoReturn:
             close(plant)
     except ZenostatError as error:
         text, code = json.dumps(to_wire(error)), 1
-    except (Exception, SystemExit) as error:
+    except BaseException as error:
         message = f"plant {request['plant']!r} cannot be created\n{users_traceback(error)}"
         text, code = json.dumps({"error": "PlantFailed", "message": message}), 1
     with reply:

@@ -48,7 +48,7 @@ class Tank:
     duration_s = 600.0
     sensors = {"temperature": ("degC", 0.0, 100.0), "noise": "1"}
     meters = {"electricity": "J"}
-    actuators = {"heater": ("W", 0.0, 3000.0), "valve": ("1", 0.0, 1.0, 0.25), "deed": ("1", 0.0, 21.0)}
+    actuators = {"heater": ("W", 0.0, 3000.0), "valve": ("1", 0.0, 1.0, 0.25), "deed": ("1", 0.0, 22.0)}
 
     def __init__(self, loss=LOSS, deed=""):
         self.loss = loss
@@ -72,6 +72,8 @@ class Tank:
             self.cool()
         if deed == "exit":
             sys.exit("enough")
+        if deed == "interrupt":
+            raise KeyboardInterrupt
         if deed == "leave":
             os._exit(3)
         if deed == "kill":
@@ -117,7 +119,7 @@ class Tank:
 WRONG = {"nan": float("nan"), "inf": float("inf"), "text": "20.0", "none": None, "huge": 10**400}
 DEEDS = ["", "raise", "exit", "leave", "kill", "hang", "compute", "print", "thread", "keep", "break", *WRONG]
 DEEDS += ["compute for ever"]
-DEEDS += ["missing", "unknown", "list", "keep unreadable"]
+DEEDS += ["missing", "unknown", "list", "keep unreadable", "interrupt"]
 
 class Unreadable:
     def __reduce__(self):
@@ -143,7 +145,19 @@ class Daily(Tank):
     duration_s = 10 * 86400.0
 '''
 DEEDS = ["", "raise", "exit", "leave", "kill", "hang", "compute", "print", "thread", "keep", "break"]
-DEEDS += ["nan", "inf", "text", "none", "huge", "compute for ever", "missing", "unknown", "list", "keep unreadable"]
+DEEDS += [
+    "nan",
+    "inf",
+    "text",
+    "none",
+    "huge",
+    "compute for ever",
+    "missing",
+    "unknown",
+    "list",
+    "keep unreadable",
+    "interrupt",
+]
 SOON = {"unresponsive_s": 2.0}
 
 
@@ -280,6 +294,7 @@ def test_python_plant__what_nobody_commands_has_its_default_or_is_missing(own: B
     [
         ("raise", PlantFailed, ["Tank.step() raised an error", "RuntimeError: the tank leaks", "in cool", "in step"]),
         ("exit", PlantFailed, ["Tank.step() raised an error", "SystemExit: enough"]),
+        ("interrupt", PlantFailed, ["Tank.step() raised an error", "KeyboardInterrupt", "in step"]),
         ("nan", PlantFailed, ["Tank.step() returned nan for 'temperature' at step 2", "a finite number expected"]),
         ("inf", PlantFailed, ["returned inf for 'temperature' at step 2"]),
         ("text", PlantFailed, ["returned '20.0' for 'temperature' at step 2"]),
@@ -496,6 +511,7 @@ def test_python_plant__class_that_cannot_be_copied_states_what_it_lacks(own: Bui
     [
         ("raise", PlantFailed, r"(?s)tank.py:Tank' cannot be created.*in __init__.*RuntimeError: the tank leaks"),
         ("exit", PlantFailed, r"(?s)cannot be created.*SystemExit: enough"),
+        ("interrupt", PlantFailed, r"(?s)cannot be created.*KeyboardInterrupt"),
         ("leave", EngineDied, r"could not be created: its process ended with code 3"),
         ("kill", EngineDied, r"could not be created: its process was killed by SIGKILL"),
         ("hang", EngineUnresponsive, r"could not be created: its process used no processor time for 2 s"),
