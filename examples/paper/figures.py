@@ -139,6 +139,19 @@ def draw_search(rows: list[dict[str, float]], path: Path) -> None:
     save(figure, path)
 
 
+def draw_continued(trained: list[list[dict[str, Any]]], baseline: float, path: Path) -> None:
+    """Draw the evaluations of the combinations that were continued, the best after two years first."""
+    figure, axes = plt.subplots(figsize=(theme.FULL_IN, 3.2), layout="constrained")
+    for place, evaluated in enumerate(trained):
+        label = ", ".join(f"{evaluated[0][name]:g}" for name in ("learning_rate", "n_steps", "batch_size", "gamma"))
+        years, rewards = zip(*((row["step"] / YEAR, row["mean_reward"]) for row in evaluated), strict=True)
+        axes.plot(years, rewards, color=mpl.colormaps["viridis"](place / max(len(trained), 2)), label=label)
+    axes.axhline(baseline, color=theme.LIGHT["muted"], linestyle=theme.series_dashes(2), label="baseline")
+    axes.set(title="The best combinations, continued", xlabel="years of training", ylabel="mean reward")
+    axes.legend(title="learning rate, n steps, batch size, gamma", loc="center left", bbox_to_anchor=(1, 0.5))
+    save(figure, path)
+
+
 def draw_months(runs: dict[str, Any], path: Path) -> None:
     """Draw the mean power of each month, and its change against the baseline."""
     power = {}

@@ -5,8 +5,8 @@
 Copies `curve.csv` (return of each episode), `evaluations.csv` and `training.yaml` of each training (`runs/ppo`,
 `runs/ppo-1`, `runs/sac`, …), and `runs/agents.csv`: years of other weather noise with the best policies. The completed
 combinations of the search (`runs/search`, and parts of its grid in `runs/search-1` and so on) are added to those of
-`search.csv`. The tables of the page are made of these files; `trainings.py docs/paper --page docs/paper.md` writes them
-again.
+`search.csv`, with all their evaluations. The tables of the page are made of these files;
+`trainings.py docs/paper --page docs/paper.md` writes them again.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ import csv
 import math
 import shutil
 import statistics
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
-from figures import TRAINED, YEAR, draw_search, draw_training, identity, power_w, read_rows, trainings
+from figures import TRAINED, YEAR, draw_continued, draw_search, draw_training, identity, power_w, read_rows, trainings
 
 from zenostat.topics import yaml12
 from zenostat.views.report import theme
@@ -32,8 +33,8 @@ _GRID = yaml12.read_mapping(Path(__file__).with_name("search.yaml"))["parameters
 SEARCHED = {name: _GRID[f"parameters.{name}"] for name in ("learning_rate", "n_steps", "batch_size", "gamma")}
 """The grid of the search."""
 COMBINATIONS = math.prod(map(len, SEARCHED.values()))
-RESULTS = ("mean_reward", "mean_reward.energy", "mean_deviation_k", "hvac_electricity_kwh", "steps")
-"""Columns of `search.csv` from the evaluation after the second year, beside those of the combination."""
+RESULTS = ("step", "mean_reward", "mean_reward.energy", "mean_deviation_k", "hvac_electricity_kwh", "steps")
+"""Columns of `search.csv` from an evaluation, beside those of the combination."""
 MINUS = "\N{MINUS SIGN}"
 IDENTITY = f"{MINUS}(0.5 · 5·10⁻⁵ · W + 0.5 · K)"
 BEGIN, END = "<!-- {} -->", "<!-- /{} -->"
@@ -50,15 +51,16 @@ def publish(runs: Path, out: Path) -> None:
 
 
 def publish_search(runs: Path, out: Path) -> None:
-    """Add the completed combinations of searches, with their evaluation after two years, to `search.csv`."""
+    """Add the evaluations of the completed combinations of searches to `search.csv`."""
     path = out / "search.csv"
-    rows = {_combination(row): row for row in read_rows(path)} if path.is_file() else {}
+    rows = {(*combination(row), row["step"]): row for row in read_rows(path)} if path.is_file() else {}
     for folder in sorted(runs.glob("search*")):
         for trial in read_rows(folder / "trials.csv"):
             if trial["state"] == "COMPLETE":
-                evaluated = read_rows(folder / "trials" / f"{int(trial['trial']):04d}/training/evaluations.csv")
-                combination = {name: trial[f"parameters.{name}"] for name in SEARCHED}
-                rows[_combination(combination)] = combination | {name: evaluated[0][name] for name in RESULTS}
+                parameters = {name: trial[f"parameters.{name}"] for name in SEARCHED}
+                for row in read_rows(folder / "trials" / f"{int(trial['trial']):04d}/training/evaluations.csv"):
+                    key = (*combination(parameters), row["step"])
+                    rows[key] = parameters | {name: row[name] for name in RESULTS}
     if rows:
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, [*SEARCHED, *RESULTS], lineterminator="\n")
@@ -69,8 +71,18 @@ def publish_search(runs: Path, out: Path) -> None:
                 })  # fmt: skip
 
 
-def _combination(row: dict[str, Any]) -> tuple[float, ...]:
+def combination(row: dict[str, Any]) -> tuple[float, ...]:
+    """Return the values of the parameters that were searched."""
     return tuple(row[name] for name in SEARCHED)
+
+
+def evaluations_by_combination(
+    rows: list[dict[str, Any]],
+) -> tuple[list[dict[str, Any]], list[list[dict[str, Any]]]]:
+    """Return the first evaluation of all combinations, and all of those that were continued, the best first."""
+    groups = [list(group) for _, group in groupby(rows, combination)]
+    continued = [group for group in groups if len(group) > 1]
+    return [group[0] for group in groups], sorted(continued, key=lambda group: -group[0]["mean_reward"])
 
 
 def label(name: str) -> str:
@@ -124,7 +136,7 @@ def agent_table(path: Path) -> list[str]:
 
 
 def search_table(rows: list[dict[str, Any]]) -> list[str]:
-    """Return a table with the mean reward of the combinations by the value of each parameter, and the best of them."""
+    """Return tables with the mean reward after two years by the value of each parameter, and the best combinations."""
     lines = [f"Completed: {len(rows)} of {COMBINATIONS} combinations.", ""]
     lines += ["| parameter | value | combinations | reward, mean | reward, best |", "|---|---|---|---|---|"]
     for name, values in SEARCHED.items():
@@ -135,8 +147,26 @@ def search_table(rows: list[dict[str, Any]]) -> list[str]:
                 lines.append(f"| `{name}` | {value:g} | {len(rewards)} | {numbers} |")
     lines += ["", f"| the best combinations | reward | W | K | {IDENTITY} |", "|---|---|---|---|---|"]
     for row in sorted(rows, key=lambda row: -row["mean_reward"])[:5]:
-        combination = ", ".join(f"`{name}` {row[name]:g}" for name in SEARCHED)
-        lines.append(f"| {combination} | {cells([row])}")
+        lines.append(f"| {title(row)} | {cells([row])}")
+    return lines
+
+
+def title(row: dict[str, Any]) -> str:
+    """Return the parameters of a combination as words of a table."""
+    return ", ".join(f"`{name}` {row[name]:g}" for name in SEARCHED)
+
+
+def continued_table(trained: list[list[dict[str, Any]]]) -> list[str]:
+    """Return a table with the first, the best and the last evaluation of the combinations that were continued."""
+    lines = ["| combination | 2 years | best: years | reward | last: years | reward | W | K |", "|---" * 8 + "|"]
+    for evaluated in trained:
+        best, last = max(evaluated, key=lambda row: row["mean_reward"]), evaluated[-1]
+        found = [
+            f"| {title(last)} | {evaluated[0]['mean_reward']:.4f}",
+            *(f"{row['step'] / YEAR:.0f} | {row['mean_reward']:.4f}" for row in (best, last)),
+            f"{power_w(last):,.0f} | {last['mean_deviation_k']:.4f} |",
+        ]
+        lines.append(" | ".join(found).replace("-", MINUS))
     return lines
 
 
@@ -161,7 +191,9 @@ def page_text(text: str, published: Path) -> str:
     )
     text = replace_block(text, "trainings", [*training_table(folders), "", f"Years trained of {YEARS}: {years}."])
     text = replace_block(text, "agents", agent_table(published / "agents.csv"))
-    return replace_block(text, "search", search_table(read_rows(published / "search.csv")))
+    first, trained = evaluations_by_combination(read_rows(published / "search.csv"))
+    text = replace_block(text, "search", search_table(first))
+    return replace_block(text, "continued", continued_table(trained))
 
 
 def main() -> None:
@@ -180,7 +212,10 @@ def main() -> None:
         with mpl.rc_context(theme.style("paper")):
             images = options.page.parent / "images"
             draw_training(trainings(published), images / "paper-training.png")
-            draw_search(read_rows(published / "search.csv"), images / "paper-search.png")
+            first, trained = evaluations_by_combination(read_rows(published / "search.csv"))
+            draw_search(first, images / "paper-search.png")
+            baseline = read_rows(published / "ppo" / "references.csv")[0]["mean_reward"]
+            draw_continued(trained, baseline, images / "paper-continued.png")
 
 
 if __name__ == "__main__":

@@ -122,16 +122,18 @@ def test_published_curves__have_each_episode_once() -> None:
         assert steps == [YEAR * count for count in range(1, len(steps) + 1)]
 
 
-def test_published_search__has_each_combination_once_and_follows_the_reward() -> None:
+def test_published_search__has_each_evaluation_once_and_follows_the_reward() -> None:
     rows = _rows(DOCS / "paper" / "search.csv")
     grid = yaml12.read_mapping(PAPER / "search.yaml")["parameters"]
     names = ("learning_rate", "n_steps", "batch_size", "gamma")
-    combinations = [tuple(float(row[name]) for name in names) for row in rows]
-    assert len(set(combinations)) == len(combinations)
-    assert set(combinations) <= set(product(*(map(float, grid[f"parameters.{name}"]) for name in names)))
+    combinations = {values: [] for values in product(*(map(float, grid[f"parameters.{name}"]) for name in names))}
+    for row in rows:
+        combinations[tuple(float(row[name]) for name in names)].append(int(row["step"]))
+    for steps in combinations.values():
+        assert steps == [2 * YEAR * count for count in range(1, len(steps) + 1)]
     for row in rows:
         energy, deviation_k = float(row["mean_reward.energy"]), float(row["mean_deviation_k"])
         assert int(row["steps"]) == YEAR
         assert float(row["mean_reward"]) == pytest.approx(energy - 0.5 * deviation_k, abs=1e-9)
-        metered_w = float(row["hvac_electricity_kwh"]) / 8.76  # the reward has the demand rate, 0.2 to 0.9 % less
-        assert 1.002 < metered_w / (-energy / (0.5 * 5e-5)) < 1.009
+        metered_w = float(row["hvac_electricity_kwh"]) / 8.76  # the reward has the demand rate, 0.2 to 1.1 % less
+        assert 1.002 < metered_w / (-energy / (0.5 * 5e-5)) < 1.012
