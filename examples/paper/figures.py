@@ -199,8 +199,13 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
 
 
 def power_w(row: dict[str, Any]) -> float:
-    """Return the mean HVAC power that the reward contains: the demand rate, of which a meter has 0.4 % more."""
+    """Return the mean HVAC power that the reward contains: the demand rate at the end of each timestep."""
     return float(-row["mean_reward.energy"] / (0.5 * 5e-5))
+
+
+def metered_w(row: dict[str, Any]) -> float:
+    """Return the mean HVAC power by the meters, in a year of 8,760 hours."""
+    return float(row["hvac_electricity_kwh"]) / 8.76
 
 
 def identity(power: float, deviation_k: float) -> float:

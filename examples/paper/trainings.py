@@ -21,7 +21,18 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
-from figures import TRAINED, YEAR, draw_continued, draw_search, draw_training, identity, power_w, read_rows, trainings
+from figures import (
+    TRAINED,
+    YEAR,
+    draw_continued,
+    draw_search,
+    draw_training,
+    identity,
+    metered_w,
+    power_w,
+    read_rows,
+    trainings,
+)
 
 from zenostat.topics import yaml12
 from zenostat.views.report import theme
@@ -158,15 +169,14 @@ def title(row: dict[str, Any]) -> str:
 
 def continued_table(trained: list[list[dict[str, Any]]]) -> list[str]:
     """Return a table with the first, the best and the last evaluation of the combinations that were continued."""
-    lines = ["| combination | 2 years | best: years | reward | last: years | reward | W | K |", "|---" * 8 + "|"]
+    lines = ["| combination | years | reward | W | W, meter | K |", "|---" * 6 + "|"]
     for evaluated in trained:
-        best, last = max(evaluated, key=lambda row: row["mean_reward"]), evaluated[-1]
-        found = [
-            f"| {title(last)} | {evaluated[0]['mean_reward']:.4f}",
-            *(f"{row['step'] / YEAR:.0f} | {row['mean_reward']:.4f}" for row in (best, last)),
-            f"{power_w(last):,.0f} | {last['mean_deviation_k']:.4f} |",
-        ]
-        lines.append(" | ".join(found).replace("-", MINUS))
+        best = max(evaluated, key=lambda row: row["mean_reward"])
+        for row in (evaluated[0], *([best] if evaluated[0] is not best is not evaluated[-1] else []), evaluated[-1]):
+            numbers = (
+                f"{row['step'] / YEAR:.0f} | {row['mean_reward']:.4f} | {power_w(row):,.0f} | {metered_w(row):,.0f}"
+            )
+            lines.append(f"| {title(row)} | {numbers.replace('-', MINUS)} | {row['mean_deviation_k']:.4f} |")
     return lines
 
 
