@@ -4,6 +4,7 @@ import json
 import ssl
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -25,6 +26,7 @@ pytest.importorskip("uvicorn")
 import httpx
 from support.clock import Clock
 
+from zenostat.views.room import users
 from zenostat.views.room.access import Access
 from zenostat.views.room.users import CERTIFICATE, BusUsers, ClientCertificate, PageTls, client_certificate
 
@@ -38,19 +40,23 @@ def access(keys: Path, clock: Clock) -> Access:
     return Access(frozenset({HOST}), "__Host-room", scheme="https", users=users, clock=clock)
 
 
-def status(access: Access, name: str, method: str = "GET", path: str = "/api/stream", **more: Any) -> int:
-    """The status of a request of a browser with the certificate of a name."""
+def request(name: str, method: str = "GET", path: str = "/api/stream", **more: Any) -> dict[str, Any]:
+    """A request of a browser with the certificate of a name."""
     headers = {"host": HOST, "content-type": "application/json"}
     headers |= {"origin": f"https://{HOST}"} if method == "POST" else {}
     headers |= {key.replace("_", "-"): value for key, value in more.pop("headers", {}).items()}
-    scope = {
+    return {
         "type": "http",
         "method": method,
         "path": path,
         "headers": [(key.encode(), value.encode()) for key, value in headers.items()],
         "state": {CERTIFICATE: ClientCertificate(name, more.get("expires_s", NEVER_S))},
     }
-    rejection = access.rejection(scope)
+
+
+def status(access: Access, name: str, *where: str, **more: Any) -> int:
+    """The status of a request of a browser with the certificate of a name."""
+    rejection = access.rejection(request(name, *where, **more))
     return 200 if rejection is None else rejection[0]
 
 
@@ -85,6 +91,24 @@ def test_access__certificate_alone_does_not_permit_another_site(access: Access) 
 
 def test_access__expired_certificate_proves_nothing(access: Access) -> None:
     assert status(access, "ada", expires_s=1.0) == 401
+
+
+def test_access__user_is_who_proves_the_name_now(access: Access, monkeypatch: pytest.MonkeyPatch) -> None:
+    signed_in = access.sign_in(access.invite("wall"))
+    assert signed_in is not None
+    by_certificate = request("ada", expires_s=2e9)
+    by_both = request("ada", expires_s=2e9, headers={"cookie": f"__Host-room={signed_in[0]}"})
+
+    def names() -> list[str | None]:
+        sessions = [access.user(each) for each in (by_certificate, by_both)]
+        return [session and session.operator for session in sessions]
+
+    monkeypatch.setattr(users, "time", SimpleNamespace(time=lambda: 1.9e9))
+    assert names() == ["ada", "wall"]
+    access.sign_out(signed_in[0])
+    assert names() == ["ada", "ada"]
+    monkeypatch.setattr(users, "time", SimpleNamespace(time=lambda: 2e9))
+    assert names() == [None, None]
 
 
 def test_access__link_is_for_names_of_the_bus_and_has_their_role(access: Access) -> None:
@@ -272,6 +296,19 @@ def test_room__stream_ends_when_its_user_is_revoked(room: Any, keys: Path) -> No
         assert list(lines) is not None  # it ends
     with client(room, keys, "eve") as eve:
         assert eve.get("/api/session").json()["operator"] is None
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_room__stream_ends_when_the_certificate_of_its_user_expires(
+    room: Any, keys: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with client(room, keys, "wall") as wall, wall.stream("GET", "/api/stream?node=tank") as stream:
+        lines = stream.iter_lines()
+        assert next(line for line in lines if line.startswith("data: "))
+        monkeypatch.setattr(users, "time", SimpleNamespace(time=lambda: NEVER_S))
+        assert list(lines) is not None  # it ends
+        assert wall.get("/api/nodes/tank").status_code == 401
 
 
 @pytest.mark.slow

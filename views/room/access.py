@@ -13,7 +13,7 @@ import re
 import secrets
 import time
 from collections.abc import Awaitable, Callable, MutableMapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -76,7 +76,7 @@ class Session:
     """
 
     operator: str
-    used_s: float
+    used_s: float = field(compare=False)
     role: Role = Role.OPERATOR
 
 
@@ -159,17 +159,17 @@ class Access:
 
     def session(self, identity: str | None) -> Session | None:
         """Return the session of this id, which is then used again; None if it is unknown or was idle for 12 hours."""
-        if not self.lasts(identity):
+        session = self._lasting(identity)
+        if session is None:
             self.sign_out(identity)
-            return None
-        session = self._sessions[_digest(identity or "")]
-        session.used_s = self._clock()
+        else:
+            session.used_s = self._clock()
         return session
 
-    def lasts(self, identity: str | None) -> bool:
-        """Return whether the session of an id has not ended; its use is not noted."""
+    def _lasting(self, identity: str | None) -> Session | None:
+        """Return the session of an id if it has not ended; its use is not noted."""
         session = self._sessions.get(_digest(identity or ""))
-        return session is not None and self._clock() - session.used_s <= _IDLE_S
+        return session if session is not None and self._clock() - session.used_s <= _IDLE_S else None
 
     def sign_out(self, identity: str | None) -> None:
         """End a session."""
@@ -214,10 +214,8 @@ class Access:
 
     def _not_permitted(self, scope: MutableMapping[str, Any], method: str, path: str) -> tuple[int, str] | None:
         """Return status and text for a request that its user may not send; None if the user may."""
-        # Whoever has signed in by a link has chosen that name; a browser sends its certificate in any case.
-        proofs = (self.session(Request(scope).cookies.get(self.cookie)), self._proven(scope))
-        sessions = (replace(each, role=role) for each in proofs if each and (role := self.role(each.operator)))
-        session = next(sessions, None)
+        self.session(Request(scope).cookies.get(self.cookie))
+        session = self.user(scope)
         scope.setdefault("state", {})["session"] = session
         if path == "/api/session":
             return None
@@ -232,6 +230,13 @@ class Access:
         return (
             (403, f"{session.operator} may not read this; it is for operators") if path.startswith(_OPERATORS) else None
         )
+
+    def user(self, scope: MutableMapping[str, Any]) -> Session | None:
+        """Return name and role that whoever has sent a request has now; None for nobody. No use is noted."""
+        # Whoever has signed in by a link has chosen that name; a browser sends its certificate in any case.
+        proofs = (self._lasting(Request(scope).cookies.get(self.cookie)), self._proven(scope))
+        sessions = (replace(each, role=role) for each in proofs if each and (role := self.role(each.operator)))
+        return next(sessions, None)
 
     def _proven(self, scope: MutableMapping[str, Any]) -> Session | None:
         """Return a session for the name in the connection's certificate; None without one."""

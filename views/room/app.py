@@ -247,18 +247,14 @@ class Room:
         session: Session = request.state.session
         if session.role is not Role.OPERATOR:
             topics -= {AUDIT, STARTED}
-        identity = request.cookies.get(self._access.cookie)
-        is_signed_in = self._access.lasts(identity)  # else it is the connection's certificate that permits it
 
         def may_follow() -> bool:
-            return self._access.role(session.operator) is not None and (
-                not is_signed_in or self._access.lasts(identity)
-            )
+            return self._access.user(request.scope) == session
 
         return StreamingResponse(self._follow(topics, may_follow), media_type="text/event-stream")
 
     async def _follow(self, topics: set[str], may_follow: Callable[[], bool]) -> AsyncIterator[bytes]:
-        """Yield the changes of some topics until the session has ended or the user's name is revoked."""
+        """Yield the changes of some topics while who has requested them proves the same name, of the same role."""
         stream = self.updates.follow(topics)
         try:
             async for message in stream:
