@@ -13,11 +13,11 @@ from zenostat.cli.gateway import manifest_of, serve
 from zenostat.cli.gateway_clients import Allow, ClientsFile, Expose, clients_of, notify
 from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
 from zenostat.gateways.addresses import parse_address
+from zenostat.topics.device_addresses import MAX_INSTANCE
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.plurals import counted
 
-_MAX_INSTANCE = 4_194_302
 _MAX_SOURCE = 100  # a source has at most 128 characters, with the client's address
 
 
@@ -31,7 +31,7 @@ def bacnet(
     ] = "127.0.0.1:47808",
     instance: Annotated[
         int | None,
-        typer.Option(min=0, max=_MAX_INSTANCE, help="Device instance number. Default: one of the node's name."),
+        typer.Option(min=0, max=MAX_INSTANCE, help="Device instance number. Default: one of the node's name."),
     ] = None,
     source: Annotated[str, typer.Option(help="Source of writes on the bus, before the client's address.")] = "bacnet",
     objects: Annotated[

@@ -21,6 +21,7 @@ from zlib import crc32
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
+from zenostat.topics.device_addresses import MAX_INSTANCE
 from zenostat.topics.errors import AccessDenied, InvalidConfig, did_you_mean
 from zenostat.topics.keys import is_own, safe_name
 from zenostat.topics.model_file import FileErrors, read_with_lines
@@ -32,7 +33,6 @@ EVERYONE = "*"
 EVERYTHING = "*"
 """Pattern of all points; a request on no single point needs it, and no other pattern permits it."""
 
-_MAX_INSTANCE = 4_194_302
 _USER = 55
 """Characters of an MQTT user's name in that of its commands, before a checksum."""
 _TOKEN = re.compile(r"[\x21-\x7e]{16,512}")
@@ -88,7 +88,7 @@ class BacnetClient(_Address):
     """A BACnet client: the instance of its device, its address, or both."""
 
     instance: int | None = Field(
-        None, ge=0, le=_MAX_INSTANCE, strict=True, description="Instance of the client's own device object."
+        None, ge=0, le=MAX_INSTANCE, strict=True, description="Instance of the client's own device object."
     )
 
 

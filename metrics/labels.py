@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable
+from datetime import date
 
 from zenostat.topics.energyplus_names import OCCUPANTS
 from zenostat.topics.messages import Actuator, Meter, Sensor
@@ -31,6 +32,15 @@ _UNITS = {
 _SEPARATORS = re.compile(r"[\s_:.,;/]+")
 _BREAKS = re.compile(r"(?<=[a-z0-9])(?=[A-Z][a-z])|(?<=[A-Za-z]{3})(?=\d)")
 _CODE = re.compile(r"[a-z]\d*")
+
+
+MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
+_WEEKDAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
+
+
+def date_label(day: date) -> str:
+    """Return a date as text, such as `Mon 3 Jul`, in English whatever the locale is."""
+    return f"{_WEEKDAYS[day.weekday()]} {day.day} {MONTHS[day.month - 1]}"
 
 
 def label(name: str) -> str:

@@ -15,7 +15,6 @@ from zenostat.topics import keys
 from zenostat.topics.errors import RequestRejected, ZenostatError
 from zenostat.topics.messages import (
     ANONYMOUS,
-    MAX_SEEDS,
     Ack,
     BranchCreated,
     CreateBranch,
@@ -27,6 +26,7 @@ from zenostat.topics.messages import (
     State,
     TakeSnapshot,
 )
+from zenostat.topics.seed_validation import MAX_SEED
 
 _PATIENCE_S = 10.0
 """Time that a reset waits at most for the end of a timestep; clients wait for their replies for longer."""
@@ -253,7 +253,7 @@ def seeds_of(reset: Reset, slots: int) -> list[int | None]:
         return reset.seed
     if reset.seed is None:
         return [None] * slots
-    if reset.seed + slots > MAX_SEEDS:
+    if reset.seed + slots - 1 > MAX_SEED:
         raise RequestRejected(
             f"seed {reset.seed}: slot {slots - 1} would have {reset.seed + slots - 1}, above 2**64 - 1"
         )

@@ -22,7 +22,7 @@ from zenostat.lab.config_file import (
 )
 from zenostat.topics.codec import validated
 from zenostat.topics.keys import safe_name
-from zenostat.topics.messages import MAX_SEEDS
+from zenostat.topics.seed_validation import MAX_SEED
 
 TrainingSeed = Annotated[int, Field(strict=True, ge=0, lt=2**32)]
 """NumPy's global generator, which stable-baselines3 seeds, accepts 32 bits."""
@@ -73,7 +73,7 @@ class Evaluation(ConfigPart):
     def _one_interval(self) -> Evaluation:
         if self.every_steps is not None and self.every_episodes is not None:
             raise ValueError("every_steps and every_episodes exclude each other; remove one of them")
-        if self.seed + self.episodes > MAX_SEEDS:
+        if self.seed + self.episodes - 1 > MAX_SEED:
             raise ValueError(f"the last of {self.episodes} episodes from seed {self.seed} on has one above 2**64 - 1")
         return self
 

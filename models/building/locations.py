@@ -10,6 +10,9 @@ from typing import Any
 
 from zenostat.models.input_format.source_model import ModelObjects
 
+LOOPS = ("AirLoopHVAC", "PlantLoop", "CondenserLoop")
+"""Types of the objects that are loops."""
+
 _OWN_ZONE = re.compile(r"(zone|space)(_or_\w+)?_name")
 _ANY_ZONE = re.compile(r"\w+_zone_name")
 _PART = re.compile(r"\w*_names?")
@@ -27,10 +30,10 @@ def locations(objects: ModelObjects) -> dict[str, str]:
     Finally, an object that has only its surface or its nodes in one place is in that place.
     """
     zones = _zone_names(objects)
-    loops = {name.upper() for kind in _LOOPS for name in objects.get(kind, {})}
+    loops = {name.upper() for kind in LOOPS for name in objects.get(kind, {})}
     parts: dict[str, list[str]] = defaultdict(list)
     for kind, items in objects.items():
-        if kind not in _LOOPS or kind == "AirLoopHVAC":
+        if kind not in LOOPS or kind == "AirLoopHVAC":
             for name, fields in items.items():
                 parts[name.upper()] += [text.upper() for field, text in texts(fields) if _is_part(field)]
     location: dict[str, str] = {}
@@ -38,11 +41,8 @@ def locations(objects: ModelObjects) -> dict[str, str]:
         for name, place in _unshared(tier, parts, stop=zones.keys() | loops).items():
             location.setdefault(name, place)
     _add_neighbors(objects, location)
-    location |= {name.upper(): name for kind in _LOOPS for name in objects.get(kind, {})}
+    location |= {name.upper(): name for kind in LOOPS for name in objects.get(kind, {})}
     return location | {name: members[0] for name, members in zones.items() if len(members) == 1}
-
-
-_LOOPS = ("AirLoopHVAC", "PlantLoop", "CondenserLoop")
 
 
 def _tiers(objects: ModelObjects, zones: Mapping[str, Sequence[str]]) -> list[dict[str, list[str]]]:

@@ -13,6 +13,7 @@ from datetime import date, timedelta
 from math import isfinite
 from typing import Any
 
+from zenostat.models.input_format.idf_reader import NUMBER
 from zenostat.topics.calendar import LEAP_YEAR, is_month_day
 from zenostat.topics.errors import did_you_mean
 
@@ -45,7 +46,6 @@ _DESIGN_DAYS = ("summerdesignday", "winterdesignday", "customday")
 _DAY_WORDS = ("AllDays", "AllOtherDays", "Weekdays", "Weekends", "Holidays", *DAY_TYPES)
 _MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
 _BEFORE = date(LEAP_YEAR, 1, 1) - timedelta(days=1)
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")
 
 
 class FieldError(Exception):
@@ -65,7 +65,7 @@ def number(value: Any) -> float | None:
     text = str(value or "").strip()
     if not text:
         return 0.0
-    if not _NUMBER.fullmatch(text):
+    if not NUMBER.fullmatch(text):
         return None
     result = float(re.sub("[dD]", "e", text))
     return result if isfinite(result) else None

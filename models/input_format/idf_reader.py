@@ -25,12 +25,14 @@ from zenostat.models.input_format.source_model import (
 )
 from zenostat.topics.errors import InvalidConfig, did_you_mean, list_errors
 
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")
+"""A number as EnergyPlus writes it; the exponent may be a `d`, as in Fortran."""
+
 _COMMENT = re.compile(r"!.*")
 _VERSION = re.compile(r"(?:^|;)\s*version\s*,([^,;]*)[,;]", re.IGNORECASE)
 _SEPARATOR = re.compile(r"([,;])")
 _MERGE_CONFLICT = re.compile(r"^<{7} .*", re.MULTILINE)
 _CONFLICT_MARK = re.compile(r"^(<{7} .*|={7}|>{7} .*)$", re.MULTILINE)
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")
 _INTEGER = re.compile(r"[+-]?\d+")
 _TYPE_FIELD = re.compile("type|class|key|name|field|line")  # fields that may hold the name of an object type
 _SIZES = frozenset(("autosize", "autocalculate"))
@@ -261,6 +263,6 @@ def _number(text: str) -> int | float | None:
     if _INTEGER.fullmatch(text):
         number = int(text)
         return number if abs(number) <= _LARGEST_INTEGER else float(number)
-    if _NUMBER.fullmatch(text):
+    if NUMBER.fullmatch(text):
         return float(text.replace("d", "e").replace("D", "e"))
     return None

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 from zenostat.models.building.conflicts import thermostat_setpoints
-from zenostat.models.building.locations import locations, texts
+from zenostat.models.building.locations import LOOPS, locations, texts
 from zenostat.models.input_format.source_model import ModelObjects
 from zenostat.models.semantic.brick_classes import (
     LEAVING_SETPOINT,
@@ -28,7 +28,6 @@ _ZONE_SETPOINTS = {
     HEATING_SETPOINT.casefold(): "Heating_Zone_Air_Temperature_Setpoint",
     COOLING_SETPOINT.casefold(): "Cooling_Zone_Air_Temperature_Setpoint",
 }
-_LOOPS = ("AirLoopHVAC", "PlantLoop", "CondenserLoop")
 _SCHEDULE_FIELD = "schedule_name"
 
 
@@ -102,7 +101,7 @@ class _Owners:
         for key in structure.equipment:
             named[key.name.casefold()].append(key)
         self._equipment = {name: keys[0] for name, keys in named.items() if len(keys) == 1}
-        self._loops = {key.name.casefold(): key for key in structure.classes if key.kind in _LOOPS}
+        self._loops = {key.name.casefold(): key for key in structure.classes if key.kind in LOOPS}
         self._nodes = dict(_loop_nodes(objects))
         self._places = {name.casefold(): place for name, place in locations(objects).items()}
         self._schedules = _schedule_uses(objects)

@@ -25,7 +25,6 @@ from zenostat.topics.messages.alarms import (
 )
 from zenostat.topics.messages.base import (
     ANONYMOUS,
-    MAX_SEEDS,
     SCHEMA_VERSION,
     Count,
     Finite,
@@ -141,7 +140,6 @@ from zenostat.topics.messages.timestep import (
 __all__ = [
     "ANONYMOUS",
     "MAX_HISTORY_POINTS",
-    "MAX_SEEDS",
     "REJECTIONS",
     "SCHEMA_VERSION",
     "Ack",

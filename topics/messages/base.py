@@ -18,6 +18,7 @@ from pydantic_core import CoreSchema
 from pydantic_core.core_schema import no_info_after_validator_function
 
 from zenostat.topics.printable import replace_controls, replace_controls_in_lines
+from zenostat.topics.seed_validation import MAX_SEED
 
 SCHEMA_VERSION = 3
 """Version of the contract; part of every key's root and of every message's encoding."""
@@ -45,9 +46,7 @@ Raw = Annotated[bytes, Field(strict=True)]
 
 Scalar = Annotated[str, Field(strict=True)] | Annotated[bool, Field(strict=True)] | Annotated[int, Field(strict=True)]
 
-MAX_SEEDS = 2**64
-"""Number of seeds: 0 to 2**64 - 1."""
-Seed = Annotated[int, Field(ge=0, lt=MAX_SEEDS, strict=True)]
+Seed = Annotated[int, Field(ge=0, lt=MAX_SEED + 1, strict=True)]
 
 
 def _one_error(seeds: Any, validate: ValidatorFunctionWrapHandler) -> Any:

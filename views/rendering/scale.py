@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from datetime import datetime, timedelta
 
+from zenostat.metrics.labels import date_label
+
 _MINUS = "\N{MINUS SIGN}"
 _FACTORS = (1.0, 2.0, 2.5, 5.0)
 _MARGIN = 0.06
@@ -16,8 +18,6 @@ _TICK_HOURS = (
     *(minutes / 60.0 for minutes in (1, 2, 5, 10, 15, 30)), 1.0, 2.0, 3.0, 6.0, 12.0, 24.0, 48.0, 168.0, 336.0, 672.0,
 )  # fmt: skip
 _MOST_TIME_TICKS = 9
-_WEEKDAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
-_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 
 
 def round_scale(
@@ -70,13 +70,13 @@ def format_time_tick(origin: datetime, hours: float) -> str:
     time = origin + timedelta(minutes=round(60.0 * hours))
     if time.hour or time.minute:
         return f"{time:%H:%M}"
-    return f"{_WEEKDAYS[time.weekday()]} {time.day} {_MONTHS[time.month - 1]}"
+    return date_label(time)
 
 
 def format_time(time: datetime) -> str:
     """Return a date and time, in English whatever the locale is."""
     clock = f"{time:%H:%M:%S}" if time.second else f"{time:%H:%M}"
-    return f"{_WEEKDAYS[time.weekday()]} {time.day} {_MONTHS[time.month - 1]} {time.year}, {clock}"
+    return f"{date_label(time)} {time.year}, {clock}"
 
 
 def format_tick(value: float) -> str:

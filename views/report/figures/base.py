@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from zenostat.metrics.labels import MONTHS, date_label
 from zenostat.views.report.quantities import Floats, Quantities, Times
 from zenostat.views.report.theme import FULL_IN, series_color, series_dashes, style
 
@@ -97,32 +98,23 @@ def mark_days(axis: Any, first: np.datetime64, days: float) -> None:
     else:
         every = max(int(np.ceil(days / 9)), 1)
         every = 7 if 3 < every < 7 else every
-        ticks = [(float(day), _day(start + day)) for day in range(0, int(np.ceil(days)), every)]
+        ticks = [(float(day), date_label((start + day).item())) for day in range(0, int(np.ceil(days)), every)]
     axis.set_xticks([place for place, _ in ticks], [text for _, text in ticks], ha="left")
     for label in axis.get_xticklabels():
         label.set_horizontalalignment("left")
     axis.set_xlim(0.0, max(days, 1.0 / 24))
 
 
-_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
-_WEEKDAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
-
-
-def _day(day: np.datetime64) -> str:
-    date: Any = day.item()
-    return f"{_WEEKDAYS[date.weekday()]} {date.day} {_MONTHS[date.month - 1]}"
-
-
 def _month(month: np.datetime64, first: np.datetime64) -> str:
     date: Any = month.item()
-    name = _MONTHS[date.month - 1]
+    name = MONTHS[date.month - 1]
     return f"{name} {date.year}" if date.month == 1 and month != first else name
 
 
 def period_label(day: np.datetime64) -> str:
     """Return the label of a month or a day."""
     date: Any = day.item()
-    return _MONTHS[date.month - 1] if day.dtype == "datetime64[M]" else _day(day)
+    return MONTHS[date.month - 1] if day.dtype == "datetime64[M]" else date_label(date)
 
 
 _MOST_COLUMNS = 4
