@@ -13,12 +13,11 @@ import numpy as np
 
 from zenostat.agent_sdk.controllers.training_folder import CURVE, EVALUATIONS, REFERENCES
 from zenostat.metrics.episode_metrics import EpisodeMetrics
+from zenostat.metrics.learning_curve import MEAN_OF, by_step, moving_mean, reference_means
 from zenostat.topics.atomic_file import atomic_file
 
 PICTURE = "curve"
 _COLUMNS = ("step", "slot", "reward", "steps")
-_SHOWN = 100
-"""Number of episodes in a moving mean, as stable-baselines3 logs it."""
 _STYLES = ("--", ":", "-.")
 
 
@@ -74,13 +73,7 @@ def _read(path: Path, until: int) -> list[dict[str, Any]]:
 
 def reference_rewards(folder: Path) -> dict[str, float]:
     """Return the mean reward of an episode by reference of a training; empty if none was evaluated."""
-    rewards: dict[str, list[float]] = {}
-    if (path := folder / REFERENCES).is_file():
-        with path.open(newline="", encoding="utf-8") as file:
-            for row in csv.DictReader(file):
-                if row["reward"]:  # without a reward the first evaluation ends the training with the reason
-                    rewards.setdefault(row["controller"], []).append(float(row["reward"]))
-    return {name: float(np.mean(values)) for name, values in rewards.items()}
+    return reference_means(folder / REFERENCES, "reward")
 
 
 def _number(text: str) -> int | float | None:
@@ -117,7 +110,7 @@ class LearningCurve:
     @property
     def mean_reward(self) -> float | None:
         """Mean reward of the last hundred episodes; None before the first has ended."""
-        rewards = [row["reward"] for row in self.episodes.rows[-_SHOWN:]]
+        rewards = [row["reward"] for row in self.episodes.rows[-MEAN_OF:]]
         return float(np.mean(rewards)) if rewards else None
 
     def close(self) -> None:
@@ -135,23 +128,18 @@ class LearningCurve:
         steps, rewards = (
             np.array([row[name] for row in self.episodes.rows], np.float64) for name in ("step", "reward")
         )
-        evaluations: dict[int, list[float]] = {}
-        for row in self.evaluations.rows:
-            evaluations.setdefault(row["step"], []).append(row["reward"])
+        evaluations = by_step(*([row[name] for row in self.evaluations.rows] for name in ("step", "reward")))
 
         def fill(figure: Any) -> None:
             axis = figure.subplots()
             axis.plot(steps, rewards, ".", color=LIGHT["series-1"], markersize=3, alpha=0.5, label="training episode")
             if len(rewards) > 1:
-                axis.plot(steps, _moving_mean(rewards), color=LIGHT["series-1"], label=f"mean of {_SHOWN} episodes")
+                axis.plot(steps, moving_mean(rewards), color=LIGHT["series-1"], label=f"mean of {MEAN_OF} episodes")
             if evaluations:
-                means = [float(np.mean(values)) for values in evaluations.values()]
-                axis.plot(
-                    list(evaluations), means, "o-", color=LIGHT["series-2"], markersize=4, label="evaluation, mean"
-                )
-                if max(map(len, evaluations.values())) > 1:
-                    low, high = ([limit(values) for values in evaluations.values()] for limit in (min, max))
-                    axis.fill_between(list(evaluations), low, high, color=LIGHT["series-2"], alpha=0.15, linewidth=0)
+                places, means, lows, highs = zip(*evaluations, strict=True)
+                axis.plot(places, means, "o-", color=LIGHT["series-2"], markersize=4, label="evaluation, mean")
+                if lows != highs:
+                    axis.fill_between(places, lows, highs, color=LIGHT["series-2"], alpha=0.15, linewidth=0)
             for style, (name, reward) in zip(cycle(_STYLES), reference_rewards(self._folder).items(), strict=False):
                 axis.axhline(reward, color=LIGHT["ink"], linestyle=style, linewidth=1, label=f"{name}, mean")
             axis.set_xlabel("training step")
@@ -161,11 +149,3 @@ class LearningCurve:
             legend_above(axis)
 
         save(draw(PICTURE, 3.2, fill), self._folder, PICTURE)
-
-
-def _moving_mean(values: Any) -> Any:
-    """Return the mean of each value and those before it, at most a hundred."""
-    sums = np.concatenate([[0.0], np.cumsum(values)])
-    ends = np.arange(1, len(values) + 1)
-    begins = np.maximum(ends - _SHOWN, 0)
-    return (sums[ends] - sums[begins]) / (ends - begins)

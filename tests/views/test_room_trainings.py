@@ -17,6 +17,7 @@ pytest.importorskip("uvicorn")
 
 import httpx
 
+from zenostat.lab.training.curve import reference_rewards
 from zenostat.topics.errors import RequestRejected, UnknownName
 from zenostat.views.room.app import RoomSettings
 from zenostat.views.room.csv_table import CsvTable
@@ -88,6 +89,18 @@ def test_trainings__curve_of_each_metric(
     curve = Trainings(tmp_path).curve("ppo", metric)
     assert (curve["step"], curve["mean"], curve["low"]) == (steps, means, lows)
     assert curve["references"] == ({"baseline": -5.0, "rbc": -2.5} if metric.endswith(("episode", "reward")) else {})
+
+
+@pytest.mark.parametrize("metric", ["episode", "evaluation:energy"])
+def test_trainings__references_have_commas_and_unknown_values(tmp_path: Path, metric: str) -> None:
+    folder = training(tmp_path / "ppo")
+    (folder / "references.csv").write_text(
+        'controller,weather,seed,energy,reward\nbaseline,"Denver, CO",1,,-6.0\nrbc,"Denver, CO",1,4.0,-2.0\n'
+        'rbc,"Denver, CO",2,6.0,-3.0\nrbc,"Denver'
+    )
+    expected = {"episode": {"baseline": -6.0, "rbc": -2.5}, "evaluation:energy": {"rbc": 5.0}}
+    assert Trainings(tmp_path).curve("ppo", metric)["references"] == expected[metric]
+    assert reference_rewards(folder) == expected["episode"]
 
 
 def test_trainings__state_follows_lock_and_model(tmp_path: Path) -> None:

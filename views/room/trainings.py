@@ -24,6 +24,7 @@ from zenostat.agent_sdk.controllers.training_folder import (
     TRAINING,
     read_training_fields,
 )
+from zenostat.metrics.learning_curve import MEAN_OF, by_step, moving_mean, reference_means
 from zenostat.topics.errors import InvalidConfig, UnknownName, UsageError, did_you_mean
 from zenostat.views.room.csv_table import CsvTable
 from zenostat.views.room.numbers import number, numbers
@@ -36,9 +37,6 @@ MAX_POINTS = 1000
 
 _SCANNED_S = 1.0
 _MAX_DEPTH = 6
-_MEAN_OF = 100
-"""Number of episodes in a moving mean, as stable-baselines3 logs it."""
-
 _RECORDING = ".mcap"
 _NOT_ENTERED = (CHECKPOINTS, "tensorboard", "wandb")
 _PROGRESS_STEP = "time/total_timesteps"
@@ -75,7 +73,7 @@ class TrainingRun:
         fields = self._training_fields()
         episodes, evaluations = self.table(CURVE), self.table(EVALUATIONS)
         rewards = [value for value in episodes.get("reward", []) if value is not None]
-        means = _by_step(evaluations, "reward")
+        means = by_step(evaluations.get("step", []), evaluations.get("reward", []))
         steps = [each for table in (episodes, evaluations) for each in table.get("step", [])[-1:]]
         steps += [each for file in self.progress_files for each in self.table(file).get(_PROGRESS_STEP, [])[-1:]]
         progress = [name for file in self.progress_files for name in self.table(file) if name != _PROGRESS_STEP]
@@ -88,9 +86,9 @@ class TrainingRun:
             "steps": fields.get("steps"),
             "step": max((step for step in steps if step is not None), default=0),
             "episodes": len(rewards),
-            "reward": number(fmean(rewards[-_MEAN_OF:])) if rewards else None,
-            "evaluation": number(means[-1][1]) if means else None,
-            "best": number(max(mean for _, mean, _, _ in means)) if means else None,
+            "reward": number(fmean(rewards[-MEAN_OF:])) if rewards else None,
+            "evaluation": number(means[-1].mean) if means else None,
+            "best": number(max(each.mean for each in means)) if means else None,
             "references": self.references("reward"),
             "state": self._state(locked),
             "has_report": (self.folder / REPORT).is_file(),
@@ -121,19 +119,7 @@ class TrainingRun:
 
     def references(self, metric: str) -> dict[str, float]:
         """Return the mean of a metric by reference controller."""
-        try:
-            text = (self.folder / REFERENCES).read_text(encoding="utf-8", errors="replace")
-        except OSError:
-            return {}
-        names, *rows = [line.split(",") for line in text.splitlines()] or [[]]
-        if metric not in names or "controller" not in names:
-            return {}
-        column, controller = names.index(metric), names.index("controller")
-        values: dict[str, list[float]] = {}
-        for row in rows:
-            with suppress(ValueError, IndexError):
-                values.setdefault(row[controller], []).append(float(row[column]))
-        return {name: fmean(each) for name, each in values.items()}
+        return reference_means(self.folder / REFERENCES, metric)
 
     def curve(self, metric: str) -> dict[str, Any]:
         """Return a metric over the training's steps.
@@ -151,7 +137,8 @@ class TrainingRun:
             rows = _moving_means(self.table(CURVE))
             references = self.references("reward")
         elif kind == "evaluation":
-            rows = _by_step(self.table(EVALUATIONS), name)
+            table = self.table(EVALUATIONS)
+            rows = list(by_step(table["step"], table[name])) if name in table and "step" in table else []
             references = self.references(name)
         elif kind == "progress":
             rows = [row for file in self.progress_files for row in _progress(self.table(file), name)]
@@ -181,23 +168,8 @@ def _moving_means(table: Mapping[str, list[float | None]]) -> list[_Row]:
         for step, value in zip(table.get("step", []), table.get("reward", []), strict=True)
         if step is not None and value is not None
     ]
-    sums, rows = [0.0], []
-    for place, (step, value) in enumerate(pairs, 1):
-        sums.append(sums[-1] + value)
-        begin = max(0, place - _MEAN_OF)
-        mean = (sums[place] - sums[begin]) / (place - begin)
-        rows.append((step, mean, mean, mean))
-    return rows
-
-
-def _by_step(table: Mapping[str, list[float | None]], name: str) -> list[_Row]:
-    """Return the mean and the extremes of a column over the episodes of each evaluation."""
-    values: dict[float, list[float]] = {}
-    if name in table and "step" in table:
-        for step, value in zip(table["step"], table[name], strict=True):
-            if step is not None and value is not None:
-                values.setdefault(step, []).append(value)
-    return [(step, fmean(each), min(each), max(each)) for step, each in values.items()]
+    means = moving_mean([value for _, value in pairs]).tolist()
+    return [(step, mean, mean, mean) for (step, _), mean in zip(pairs, means, strict=True)]
 
 
 def _progress(table: Mapping[str, list[float | None]], name: str) -> Iterator[_Row]:
