@@ -11,7 +11,6 @@ from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
 from zenostat.agent_sdk.envs.zone_agents import ZonesEnv
 from zenostat.agent_sdk.testing import Climate, FakeBuilding, FakeLink
-from zenostat.agent_sdk.testing.fake_vector_env import FakeSlots
 from zenostat.topics.errors import InvalidConfig
 
 WRONG = pytest.mark.parametrize(
@@ -36,7 +35,7 @@ def test_seeds__one_building(make_env: Callable[[], Any], seed: Any) -> None:
 
 @WRONG
 def test_seeds__slots(seed: Any) -> None:
-    env = BuildingVectorEnv(2, link=FakeSlots([FakeBuilding(), FakeBuilding()]))
+    env = BuildingVectorEnv(2, link=FakeLink([FakeBuilding(), FakeBuilding()]))
     with pytest.raises(InvalidConfig, match=r"seed = .*; an integer from 0 to 2\*\*64 - 2 expected"):
         env.reset(seed=seed)
     with pytest.raises(InvalidConfig, match=RANGE):
@@ -69,7 +68,7 @@ def test_seeds__array_that_is_no_number() -> None:
 
 def test_seeds__without_one_each_fake_building_draws_its_own_weather() -> None:
     noisy = [FakeBuilding(climate=Climate(noise_k=2.0)) for _ in range(2)]
-    env = BuildingVectorEnv(2, link=FakeSlots(noisy))
+    env = BuildingVectorEnv(2, link=FakeLink(noisy))
     first, again = env.reset()[0], env.reset()[0]
     temperatures = [*first[:, 0].tolist(), *again[:, 0].tolist()]
     assert len(set(temperatures)) == 4

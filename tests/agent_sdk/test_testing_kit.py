@@ -305,6 +305,25 @@ def test_testing_kit__what_a_node_refuses_a_fake_refuses() -> None:
     assert link.receive().step == 1
 
 
+def test_fake_link__several_buildings_are_the_slots_of_one_node() -> None:
+    buildings = [FakeBuilding(1), FakeBuilding(1)]
+    link = FakeLink(buildings)
+    with pytest.raises(PeerError, match="reset all slots first"):
+        link.reset(slots=[1])
+    link.reset(seed=0)
+    link.send(np.array([[20.0, 24.0], [20.0, 31.0]]))
+    with pytest.raises(RequestRejected, match="zone_1_cooling_setpoint = 31"):
+        link.receive()
+    assert [building.step for building in buildings] == [0, 0], "no slot has advanced"
+    link.send({"zone_1_heating_setpoint": 21.0}, still=[0])
+    sample = link.receive()
+    assert sample.message.step == [0, 1]
+    assert [sample.of_slot(slot).effective.tolist() for slot in (0, 1)] == [[16.0, 28.0], [21.0, 28.0]]
+    assert [list(sample.of_slot(slot).value_source.values()) for slot in (0, 1)] == [["", ""], ["env", ""]]
+    assert link.reset(seed=[7], slots=[1]).message.episode == [0, 1]
+    assert link.accepted.episode == [0, 1]
+
+
 def test_testing_kit__controllers_loop_runs_on_it() -> None:
     link = FakeLink(FakeBuilding(2))
     rules = RuleBasedController(link.manifest)

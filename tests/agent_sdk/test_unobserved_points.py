@@ -14,7 +14,6 @@ from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
 from zenostat.agent_sdk.envs.zone_agents import ZonesEnv
 from zenostat.agent_sdk.rewards import REWARDS, LinearReward, from_function, read_reward
 from zenostat.agent_sdk.testing import FakeBuilding, FakeLink, check_environment
-from zenostat.agent_sdk.testing.fake_vector_env import FakeSlots
 from zenostat.metrics.episode_metrics import MetricsAccumulator
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Manifest
@@ -60,7 +59,7 @@ def test_unobserved_points__observation_is_that_of_all_points_without_the_unobse
 
 def test_unobserved_points__slots_observe_the_same_as_single_environments() -> None:
     single = BuildingEnv(link=FakeLink(building()))
-    vector = BuildingVectorEnv(2, link=FakeSlots([building(), building()]))
+    vector = BuildingVectorEnv(2, link=FakeLink([building(), building()]))
     assert vector.single_observation_space == single.observation_space
     first = vector.reset(seed=[1, 2])[0]
     single.action_space.seed(1)

@@ -17,7 +17,6 @@ from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
 from zenostat.agent_sdk.envs.zone_agents import ZonesEnv
 from zenostat.agent_sdk.rewards import from_function
 from zenostat.agent_sdk.testing import FakeBuilding, FakeLink
-from zenostat.agent_sdk.testing.fake_vector_env import FakeSlots
 from zenostat.topics.errors import EpisodeChanged, InvalidAction, UsageError
 
 BUSY = "one thread at a time"
@@ -50,7 +49,7 @@ def single(gate: Gate) -> Any:
 
 
 def vector(gate: Gate) -> Any:
-    return BuildingVectorEnv(2, link=FakeSlots([building(), building()]), reward=from_function(gate))
+    return BuildingVectorEnv(2, link=FakeLink([building(), building()]), reward=from_function(gate))
 
 
 def action_of(env: Any) -> Any:
@@ -95,7 +94,7 @@ def test_threads__actions_of_another_thread_are_not_taken_for_ones_own() -> None
     sb3 = pytest.importorskip("zenostat.agent_sdk.envs.sb3_vec_env")
     gate = Gate()
     gate.opens.set()
-    slots = FakeSlots([building(), building()])
+    slots = FakeLink([building(), building()])
     env = sb3.as_sb3(BuildingVectorEnv(2, link=slots, reward=from_function(gate), autoreset_mode="SameStep"))
     env.reset()
     actions = np.array([env.action_space.sample()] * 2)
