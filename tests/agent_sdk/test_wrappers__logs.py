@@ -1,12 +1,12 @@
 """Wrappers that write logs."""
 
-import csv
 import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from support.csv_files import csv_rows
 from support.wrapped_fakes import MIDDLE, episode, fake, fakes
 
 from zenostat import wrappers as w
@@ -14,15 +14,10 @@ from zenostat.agent_sdk.testing import FakeEnv
 from zenostat.topics.errors import InvalidConfig
 
 
-def rows_of(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
 def test_wrappers__log_has_n_rows_with_n_steps(tmp_path: Path) -> None:
     env = w.EpisodeLog(w.ReducedObservation(fake(), ["core", "hour"]), tmp_path / "log")
     steps = episode(env, lambda: MIDDLE)
-    rows = rows_of(tmp_path / "log" / "episode-000001.csv")
+    rows = csv_rows(tmp_path / "log" / "episode-000001.csv")
     assert list(rows[0]) == [
         "time", "observation.core", "observation.hour", "action.heat", "action.cool", "effective.heat",
         "effective.cool", "effective.occupants", "reward", "reward.energy", "reward.comfort", "metric.joules",
@@ -48,10 +43,10 @@ def test_wrappers__files_of_a_log_have_their_names_when_they_are_whole(tmp_path:
     env.close()
     env.close()
     whole = {"episode-000001-left.csv": 1, "episode-000002.csv": 24, "episode-000003-left.csv": 1}
-    assert {file.name: len(rows_of(file)) for file in tmp_path.iterdir()} == whole
+    assert {file.name: len(csv_rows(file)) for file in tmp_path.iterdir()} == whole
     again = w.EpisodeLog(fake(), tmp_path)
     episode(again, lambda: MIDDLE)
-    assert len(rows_of(tmp_path / "episode-000004.csv")) == 24
+    assert len(csv_rows(tmp_path / "episode-000004.csv")) == 24
 
 
 def test_wrappers__log_of_a_vector_has_a_file_a_slot_and_episode(tmp_path: Path) -> None:
@@ -60,7 +55,7 @@ def test_wrappers__log_of_a_vector_has_a_file_a_slot_and_episode(tmp_path: Path)
     for _ in range(24 + 1 + 3):
         many.step(np.stack([MIDDLE, MIDDLE]))
     many.close()
-    assert {file.name: len(rows_of(file)) for file in tmp_path.iterdir()} == {
+    assert {file.name: len(csv_rows(file)) for file in tmp_path.iterdir()} == {
         f"slot-0{slot}-episode-00000{name}.csv": count for slot in (0, 1) for name, count in (("1", 24), ("2-left", 3))
     }
 
@@ -70,7 +65,7 @@ def test_wrappers__parquet_has_the_same_as_csv(tmp_path: Path) -> None:
     env = w.EpisodeLog(w.EpisodeLog(fake(), tmp_path / "one"), tmp_path / "two", "parquet")
     episode(env, lambda: MIDDLE)
     table = parquet.read_table(tmp_path / "two" / "episode-000001.parquet").to_pylist()
-    rows = rows_of(tmp_path / "one" / "episode-000001.csv")
+    rows = csv_rows(tmp_path / "one" / "episode-000001.csv")
     assert [{name: str(value) for name, value in row.items()} for row in table] == rows
 
 
@@ -182,7 +177,7 @@ def test_wrappers__term_that_appears_later_has_a_column(tmp_path: Path, kind: An
         env.step(env.action_space.sample())
     env.close()
     (file,) = tmp_path.iterdir()
-    rows = parquet.read_table(file).to_pylist() if kind == "parquet" else rows_of(file)
+    rows = parquet.read_table(file).to_pylist() if kind == "parquet" else csv_rows(file)
     empty = None if kind == "parquet" else ""
     assert [row["reward.late"] for row in rows] == [empty, empty, *(type(rows[2]["reward.late"])(-2.0),) * 2]
     assert [float(row["reward.base"]) for row in rows] == [-1.0] * 4

@@ -1,6 +1,5 @@
 """`zenostat evaluate` as a program, from a folder that is not the project's."""
 
-import csv
 import json
 import math
 import re
@@ -9,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from support.csv_files import csv_rows
 from support.nodes import SMALL, interrupted
 from support.run_cli import ZENOSTAT, error_of, run_program
 
@@ -84,8 +84,7 @@ def test_cli__json_is_the_table_of_the_episodes_and_csv_the_same(scratch: Path) 
     assert row["kpi.cost_tot"] > 0.0
     assert row["kpi.cost_tot"] < 0.5 * row["kpi.ener_tot"]  # gas costs nothing
     assert row["kpi.emis_tot"] in (None, pytest.approx(row["kpi.cost_tot"] / 2))  # None if gas was used
-    with (scratch / "rows.csv").open(newline="") as file:
-        (read,) = csv.DictReader(file)
+    (read,) = csv_rows(scratch / "rows.csv")
     assert {name: "" if value is None else str(value) for name, value in row.items()} == read
 
 

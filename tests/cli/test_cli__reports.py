@@ -1,11 +1,11 @@
 """`--report` and `--figures` of the commands that run episodes."""
 
-import csv
 import json
 import re
 from pathlib import Path
 
 import pytest
+from support.csv_files import csv_rows
 from support.nodes import SMALL
 from support.run_cli import error_of, run_program
 
@@ -37,13 +37,11 @@ def test_cli__evaluation_writes_report_and_figures_with_its_own_numbers(scratch:
     assert "zenostat evaluate &#x27;my office.yaml&#x27; --controller baseline" in text
     assert "<pre>" in text
     assert f"building: {SMALL['building']}\n" in text  # the scenario itself
-    with (scratch / "figures" / "end-uses.csv").open(newline="") as file:
-        uses = list(csv.DictReader(file))
+    uses = csv_rows(scratch / "figures" / "end-uses.csv")
     for name, metrics in (("baseline", baseline), ("rbc", rbc)):  # monitoring measures every end use
         total = sum(float(use[f"{name} (kWh)"]) for use in uses)
         assert total == pytest.approx(metrics["electricity_kwh"] + metrics["natural_gas_kwh"], rel=1e-6)
-    with (scratch / "figures" / "degree-hours.csv").open(newline="") as file:
-        zones = list(csv.DictReader(file))
+    zones = csv_rows(scratch / "figures" / "degree-hours.csv")
     outside = sum(float(zone["rbc: above (K h)"]) + float(zone["rbc: below (K h)"]) for zone in zones)
     assert outside == pytest.approx(rbc["occupied_outside_kh"], abs=1e-9)
     assert (scratch / "figures" / "weather.png").stat().st_size > 10_000

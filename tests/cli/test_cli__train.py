@@ -1,6 +1,5 @@
 """`zenostat train` and `zenostat tune` as a user calls them: errors, logs, and older folders."""
 
-import csv
 import json
 import os
 import re
@@ -9,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.csv_files import csv_rows
 from support.run_cli import output_of, plain, run_in_process, run_program
 
 from zenostat.cli.train import override_fields
@@ -196,8 +196,7 @@ def test_cli__study_of_a_controller_prints_its_trials_and_the_best_is_a_file(tmp
     text = plain(done.stdout)
     assert "(default)" in text
     assert text.endswith("study/best.yaml")
-    with (tmp_path / "study" / "trials.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows(tmp_path / "study" / "trials.csv")
     assert [row["margin"] == "" for row in rows] == [True, False, False]
     best = yaml12.read_mapping(tmp_path / "study" / "best.yaml")
     assert best["controller"] == "rbc"
@@ -217,8 +216,7 @@ def test_cli__log_of_tensorboard_has_the_values_of_the_csv_file(tmp_path: Path) 
     write(tmp_path, "t.yaml", TRAINING, log=["tensorboard"], steps=1000, normalization=False)
     done = run_in_process("train", "t.yaml", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    with (tmp_path / "out" / "progress.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows(tmp_path / "out" / "progress.csv")
     expected = {int(row["time/total_timesteps"]): float(row["rollout/ep_rew_mean"]) for row in rows}
     assert expected
     assert scalars(tmp_path / "out" / "tensorboard", "rollout/ep_rew_mean") == pytest.approx(expected, rel=1e-6)

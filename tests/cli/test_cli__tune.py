@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from pathlib import Path
 
 import pytest
+from support.csv_files import csv_rows
 from support.run_cli import output_of
 
 from zenostat.topics import yaml12
@@ -64,8 +64,7 @@ def test_tune__shows_a_line_for_each_trial_without_a_terminal(tmp_path: Path) ->
         assert re.search(r"fail its process ended with 1: ValueError: no such margin; see \S+/log\.txt \(", line), line
     worse = next(line for line in trials if "margin 0, setback 6" in line)  # than the one before
     assert "worse than the median of the trials before at step 1 (" in worse
-    with (tmp_path / "out" / "trials.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows(tmp_path / "out" / "trials.csv")
     assert [bool(row["reason"]) for row in rows] == [row["state"] != "COMPLETE" for row in rows]
     again = output_of("tune", "tune.yaml", cwd=tmp_path).splitlines()
     assert again[0] == "margins: 5 of 5 trials have ended"

@@ -1,6 +1,5 @@
 """A training from a file equals stable-baselines3 driven by hand and resumes to the bit; its folder is a controller."""
 
-import csv
 import json
 import math
 import threading
@@ -11,6 +10,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from support.csv_files import csv_rows
 
 import zenostat  # noqa: F401  # registers the environments
 from zenostat.agent_sdk.testing import Climate, FakeEnv
@@ -183,10 +183,8 @@ def test_training__is_not_resumed_with_another_scenario_file(tmp_path: Path) -> 
 
 def test_training__evaluations_are_counted_in_episodes(tmp_path: Path) -> None:
     train(read_training(fields("a2c", tmp_path, evaluation={"every_episodes": 2}, arguments=DAY, steps=130)))
-    with (tmp_path / "evaluations.csv").open() as file:
-        assert [int(row["step"]) for row in csv.DictReader(file)] == [48, 96]  # an episode has 24 steps
-    with (tmp_path / "curve.csv").open() as file:
-        assert [int(row["step"]) for row in csv.DictReader(file)] == [24, 48, 72, 96, 120]
+    steps = [[int(row["step"]) for row in csv_rows(tmp_path / name)] for name in ("evaluations.csv", "curve.csv")]
+    assert steps == [[48, 96], [24, 48, 72, 96, 120]]  # an episode has 24 steps
 
 
 def test_training__folder_of_a_training_behind_wrappers_is_a_controller(tmp_path: Path) -> None:
@@ -403,8 +401,7 @@ def test_training__references_run_through_the_evaluation_episodes(tmp_path: Path
     expected = evaluate(scenario, ["baseline", "rbc"], episodes=2, seed=7, **arguments)
     means = {name: metrics["reward"].mean for name, metrics in expected.summary().items()}
     assert reported == [pytest.approx(means, rel=1e-12)]
-    with (tmp_path / "references.csv").open() as file:
-        rows = [(row["controller"], float(row["reward"])) for row in csv.DictReader(file)]
+    rows = [(row["controller"], float(row["reward"])) for row in csv_rows(tmp_path / "references.csv")]
     assert rows == [(row.controller, row.result.reward) for row in expected.rows]
 
 
@@ -416,10 +413,7 @@ def test_training__evaluation_of_offsets_of_zero_has_the_metrics_of_the_baseline
     arguments = {"begin": "07-03", "end": "07-03", "steps_per_hour": 1, "relative": 3.0}
     settings = {"scenario": scenario, "arguments": arguments, "evaluation": evaluation, "steps": 24}
     train(read_training(fields("a2c", tmp_path, **settings, zero_start=True)))
-    first = []
-    for name in ("evaluations.csv", "references.csv"):
-        with (tmp_path / name).open() as file:
-            first.append(next(csv.DictReader(file)))
+    first = [csv_rows(tmp_path / name)[0] for name in ("evaluations.csv", "references.csv")]
     metrics = [name for name in first[0] if name in first[1] and name not in ("episode", "seed")]
     assert {"mean_power_w", "hvac_electricity_kwh", "unmet_cooling_h", "peak_kw"} <= {*metrics}
     evaluated, reference = ({name: row[name] for name in metrics} for row in first)

@@ -1,11 +1,11 @@
 """Policies that begin with offsets of zero: they do what the rule does, whatever they observe, and then learn."""
 
-import csv
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from support.csv_files import csv_rows
 
 pytest.importorskip("stable_baselines3", reason="the extra `train` is not installed")
 
@@ -60,8 +60,7 @@ def test_zero_start__evaluation_before_the_first_step_is_that_of_the_rule(tmp_pa
     evaluation = {"every_steps": 64, "at_start": True, "episodes": 2, "seed": 7, "references": []}
     config = read_training(fields(tmp_path, evaluation=evaluation, zero_start=True, steps=64))
     train(config)
-    with (tmp_path / "evaluations.csv").open() as file:
-        evaluated = [float(row["reward"]) for row in csv.DictReader(file) if row["step"] == "0"]
+    evaluated = [float(row["reward"]) for row in csv_rows(tmp_path / "evaluations.csv") if row["step"] == "0"]
     env = make_env(config, for_evaluation=True)
     for seed, reward in zip((7, 8), evaluated, strict=True):
         env.reset(seed=seed)

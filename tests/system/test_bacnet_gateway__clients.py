@@ -1,7 +1,6 @@
 """The command `zenostat gateway bacnet`, and BACnet clients that others have written."""
 
 import asyncio
-import csv
 import importlib.util
 import shutil
 import signal
@@ -13,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from support.bacnet import INSTANCE, free_udp_port, served
+from support.csv_files import csv_rows
 from support.nodes import NodeProgram, Program
 from support.run_cli import ZENOSTAT, error_of, run_in_process, run_program
 
@@ -175,8 +175,7 @@ def test_bacnet_gateway__objects_are_written_as_a_table(episode_bus: Bus, tmp_pa
     words = ["gateway", "bacnet", "office", "--connect", episode_bus.endpoint, "--instance", str(INSTANCE)]
     ended = run_in_process(*words, "--objects", str(file))
     assert ended.returncode == 0, ended.stderr
-    with file.open(newline="") as opened:
-        rows = {(row["type"], row["name"]): row for row in csv.DictReader(opened)}
+    rows = {(row["type"], row["name"]): row for row in csv_rows(file)}
     manifest = episode_bus.manifest("office")
     assert len(rows) == 7 + len(manifest.points) + len(manifest.actuators)
     row, actuator = rows["analog-output", COOLING], next(a for a in manifest.actuators if a.name == COOLING)

@@ -1,7 +1,6 @@
 """The Modbus gateway of a real node, with clients that are not ours: pymodbus, and mbpoll where it is installed."""
 
 import asyncio
-import csv
 import math
 import random
 import shutil
@@ -16,6 +15,7 @@ from pathlib import Path
 
 import pytest
 from pymodbus.client import ModbusTcpClient
+from support.csv_files import csv_rows
 from support.gateways import RunningGateway
 from support.nodes import SMALL, NodeProgram, begin_new_episode, until
 from support.run_cli import run_in_process, run_program
@@ -92,7 +92,7 @@ def test_modbus_gateway__input_registers_are_the_sample_by_the_written_map(
     file = tmp_path / "map.csv"
     done = run_in_process("gateway", "modbus", "office", "--map", str(file), "--connect", bus.endpoint)
     assert done.returncode == 0, done.stderr
-    rows = [row for row in csv.DictReader(file.read_text().splitlines()) if row["table"] == "input register"]
+    rows = [row for row in csv_rows(file) if row["table"] == "input register"]
     _step(bus, client)
     sample = bus.read("office")
     expected = sample.as_dict()

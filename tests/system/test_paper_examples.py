@@ -1,6 +1,5 @@
 """The scripts of the paper's experiments run, and write what their figures need."""
 
-import csv
 import importlib
 import subprocess
 import sys
@@ -8,6 +7,7 @@ from itertools import product
 from pathlib import Path
 
 import pytest
+from support.csv_files import csv_rows
 from support.run_cli import run_program
 
 from zenostat.models import data_packs
@@ -16,11 +16,6 @@ from zenostat.topics import yaml12
 PAPER = Path(__file__).parents[2] / "examples" / "paper"
 DOCS = PAPER.parents[1] / "docs"
 YEAR = 35_040
-
-
-def _rows(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
 
 
 @pytest.mark.slow
@@ -38,7 +33,7 @@ def test_paper_training_file__trains_and_evaluates_by_episodes(scratch: Path) ->
     ]
     done = run_program("train", str(PAPER / "ppo.yaml"), *day, cwd=scratch)
     assert done.returncode == 0, done.stderr
-    rows = _rows(scratch / "runs" / "ppo" / "evaluations.csv")
+    rows = csv_rows(scratch / "runs" / "ppo" / "evaluations.csv")
     assert [(int(row["step"]), row["seed"]) for row in rows] == [(96, "1000"), (192, "1000")]
     for row in rows:
         power_w = -float(row["mean_reward.energy"]) / (0.5 * 5e-5)
@@ -58,13 +53,13 @@ def test_paper_search__best_combinations_continue_their_trainings(scratch: Path)
     (scratch / "search.yaml").write_text(yaml12.dump(search | {"training": training, "parameters": parameters}))
     done = run_program("tune", "search.yaml", cwd=scratch)
     assert done.returncode == 0, done.stderr
-    trials = {int(row["trial"]): float(row["reward"]) for row in _rows(scratch / "runs" / "search" / "trials.csv")}
+    trials = {int(row["trial"]): float(row["reward"]) for row in csv_rows(scratch / "runs" / "search" / "trials.csv")}
     (scratch / "best_ten.py").write_text((PAPER / "best_ten.py").read_text().replace("YEAR = 35_040", "YEAR = 96"))
     script = [sys.executable, "best_ten.py", "runs/search", "--count", "1", "--years", "2"]
     done = subprocess.run(script, cwd=scratch, capture_output=True, text=True, timeout=280)
     assert done.returncode == 0, done.stderr
     steps = {
-        trial: [int(row["step"]) for row in _rows(folder / "training" / "evaluations.csv")]
+        trial: [int(row["step"]) for row in csv_rows(folder / "training" / "evaluations.csv")]
         for trial in trials
         if (folder := scratch / "runs" / "search" / "trials" / f"{trial:04d}").is_dir()
     }
@@ -108,7 +103,7 @@ def test_published_trainings__tables_of_the_page_are_those_of_the_files(monkeypa
 
 def test_published_trainings__evaluations_are_of_whole_years_and_follow_the_reward() -> None:
     for path in (DOCS / "paper").glob("*/evaluations.csv"):
-        rows = _rows(path)
+        rows = csv_rows(path)
         assert [int(row["step"]) for row in rows] == [5 * YEAR * count for count in range(1, len(rows) + 1)]
         for row in rows:
             assert (int(row["steps"]), row["seed"]) == (YEAR, "1000")
@@ -118,12 +113,12 @@ def test_published_trainings__evaluations_are_of_whole_years_and_follow_the_rewa
 
 def test_published_curves__have_each_episode_once() -> None:
     for path in (DOCS / "paper").glob("*/curve.csv"):
-        steps = [int(row["step"]) for row in _rows(path)]
+        steps = [int(row["step"]) for row in csv_rows(path)]
         assert steps == [YEAR * count for count in range(1, len(steps) + 1)]
 
 
 def test_published_search__has_each_evaluation_once_and_follows_the_reward() -> None:
-    rows = _rows(DOCS / "paper" / "search.csv")
+    rows = csv_rows(DOCS / "paper" / "search.csv")
     grid = yaml12.read_mapping(PAPER / "search.yaml")["parameters"]
     names = ("learning_rate", "n_steps", "batch_size", "gamma")
     combinations = {values: [] for values in product(*(map(float, grid[f"parameters.{name}"]) for name in names))}

@@ -1,6 +1,5 @@
 """Contents of a recording, equal to what a client on the bus received: arrays, tables, the log, and the replay."""
 
-import csv
 import json
 import sys
 import threading
@@ -15,6 +14,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import zenoh
+from support.csv_files import csv_rows
 from support.nodes import SMALL, node_on_bus, until
 from support.recordings import chunk_ends, rewrite
 from support.run_cli import run_in_process as run
@@ -171,8 +171,7 @@ def test_recording__tables_have_exact_numbers(seen: Any, folder: Path) -> None:
     csv_file, parquet_file = folder / "run.csv", folder / "run.parquet"
     assert run("export", str(seen.path), "--to", "csv", "--out", str(csv_file)).returncode == 0
     assert run("export", str(seen.path), "--out", str(parquet_file)).returncode == 0
-    with csv_file.open() as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows(csv_file)
     table = pq.read_table(parquet_file)
     assert len(rows) == table.num_rows == 38
     expected = np.concatenate([episode[CORE] for episode in loaded.episodes])
