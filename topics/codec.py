@@ -198,7 +198,8 @@ def describe_validation_errors(error: ValidationError, known: Iterable[str] = ()
     """Describe the errors of a pydantic validation in one line: the path, the rule and the value of each.
 
     Of many errors, only the first ones are described. `known`: names of the top-level fields, of which similar ones
-    are suggested for an unknown one; the `model_fields` of a model also have those of nested models.
+    are suggested for an unknown one; the `model_fields` of a model also have those of nested models. Where a field is
+    missing, those that are there are not suggested.
     """
     texts = []
     errors = error.errors(include_url=False)
@@ -212,7 +213,9 @@ def describe_validation_errors(error: ValidationError, known: Iterable[str] = ()
         elif detail["type"] == "missing":
             texts.append(f"{path}: it is missing")
         elif detail["type"] == "extra_forbidden":
-            names = _names_beside(loc, known)
+            beside = (each for each in errors if each["type"] == "missing" and each["loc"][:-1] == detail["loc"][:-1])
+            present = next((each["input"] for each in beside if isinstance(each["input"], Mapping)), {})
+            names = [name for name in _names_beside(loc, known) if name not in present]
             texts.append(f"{path}: there is no such field" + (f"; {did_you_mean(loc[-1], names)}" if names else ""))
         else:
             texts.append(f"{path}: {rule}, got {_short(detail['input'])}")
