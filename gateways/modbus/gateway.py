@@ -16,6 +16,7 @@ from zenostat.gateways.node_client import NodeClient
 from zenostat.gateways.notices import Notices
 from zenostat.gateways.points import effective_value, is_effective, readings
 from zenostat.gateways.single_precision import intended, single
+from zenostat.topics.addresses import join_address
 from zenostat.topics.errors import AccessDenied, InvalidAction, RequestRejected, UnknownName, ZenostatError
 from zenostat.topics.keys import is_own
 from zenostat.topics.messages import Actuator, Manifest
@@ -87,7 +88,7 @@ class ModbusGateway:
     @property
     def description(self) -> str:
         """Node and address, for the first line."""
-        address = f"{self.server.host}:{self.server.port}"
+        address = join_address(self.server.host, self.server.port)
         safety = f"without encryption or password; {self._clients.description}"
         return f"node {self._node.name} as Modbus TCP on {address}, {safety}"
 

@@ -16,6 +16,7 @@ from typing import NamedTuple, Protocol
 
 from zenostat.gateways.addresses import keep_alive
 from zenostat.gateways.modbus.register_map import Table
+from zenostat.topics.addresses import join_address
 from zenostat.topics.errors import AddressInUse, InvalidConfig
 
 MAX_CONNECTIONS = 32
@@ -140,7 +141,7 @@ class ModbusServer:
         except OSError as error:
             kind = AddressInUse if error.errno == 98 else InvalidConfig
             reason = "another program listens there" if kind is AddressInUse else error.strerror
-            raise kind(f"{self.host}:{self.port}: {reason}") from None
+            raise kind(f"{join_address(self.host, self.port)}: {reason}") from None
         self.port = self._server.sockets[0].getsockname()[1]
         return self
 

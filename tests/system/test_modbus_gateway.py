@@ -25,6 +25,7 @@ from zenostat.bridge.transport.session import Mode, open_session
 from zenostat.gateways.modbus import server
 from zenostat.gateways.modbus.gateway import ModbusGateway
 from zenostat.gateways.node_client import NodeClient
+from zenostat.topics.errors import AddressInUse
 
 COOLING = "core_zn_cooling_setpoint"
 UNIT = 1
@@ -298,6 +299,15 @@ async def test_modbus_gateway__connection_whose_request_is_carried_out_keeps_its
         assert (await reader.readexactly(10))[-1] == 1
         writer.close()
         other_writer.close()
+
+
+async def test_modbus_gateway__ipv6_address_has_brackets(bus: Bus) -> None:
+    with open_session(connect=[bus.endpoint]) as session:
+        async with NodeClient(session, "office") as node, ModbusGateway(node, "::1", 0) as gateway:
+            assert f" on [::1]:{gateway.server.port}, " in gateway.description
+            with pytest.raises(AddressInUse, match=rf"^\[::1\]:{gateway.server.port}: another program listens there"):
+                async with ModbusGateway(node, "::1", gateway.server.port):
+                    pass
 
 
 async def test_modbus_gateway__clients_that_do_not_receive_or_have_lost_their_power_do_not_keep_connections(
