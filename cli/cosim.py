@@ -36,6 +36,14 @@ def cosim(
     loops: Annotated[
         Loops, typer.Option("--loops", help="With --from: solve the connections that close a loop, or delay them.")
     ] = Loops.SOLVE,
+    step_s: Annotated[
+        float | None,
+        typer.Option(
+            "--step",
+            metavar="SECONDS",
+            help="With --from: timestep of the district. Default: the SSP file's step size.",
+        ),
+    ] = None,
     once: Annotated[
         bool, typer.Option("--once", help="Simulate one episode without a controller, print its balances, and end.")
     ] = False,
@@ -81,8 +89,10 @@ def cosim(
     if from_ssp is not None:
         from zenostat.cli.cosim_ssp import convert
 
-        convert(from_ssp, file, loops, overwrite=overwrite)
+        convert(from_ssp, file, loops, overwrite=overwrite, step_s=step_s)
         return
+    if step_s is not None:
+        raise InvalidConfig("--step is for --from; the file of a district has its own: timestep")
     if speed is not None and mode is not Mode.PACED:
         raise InvalidConfig(f"--speed {speed:g} needs --mode paced; {mode} mode has no speed")
     if once and mode is not Mode.LOCKSTEP:

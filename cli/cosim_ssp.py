@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Mapping
-from math import isclose
+from dataclasses import replace
+from math import isclose, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from zenostat.topics.yaml12 import dump
 _TOLERANCE = 1e-3
 
 
-def convert(source: Path, target: Path, loops: Loops, *, overwrite: bool) -> None:
+def convert(source: Path, target: Path, loops: Loops, *, overwrite: bool, step_s: float | None = None) -> None:
     """Write the file of a district, and its FMUs into a folder beside it that has its name.
 
     Args:
@@ -30,10 +31,13 @@ def convert(source: Path, target: Path, loops: Loops, *, overwrite: bool) -> Non
         target: the file to write.
         loops: treatment of loops.
         overwrite: whether an existing file and its folder are replaced.
+        step_s: timestep of the district in s; None: the step size that the SSP file names, else that of each FMU.
 
     Raises:
-        InvalidConfig: the SSP file cannot be used, or the target exists.
+        InvalidConfig: the SSP file cannot be used, the target exists, or `step_s` is not above 0.
     """
+    if step_s is not None and not (isfinite(step_s) and step_s > 0.0):
+        raise InvalidConfig(f"--step {step_s:g}: a number of seconds above 0 expected")
     if target.suffix not in (".yaml", ".yml"):
         raise InvalidConfig(f"{target}: name a file that ends in .yaml, for the district of {source}")
     folder = target.with_suffix("")
@@ -42,6 +46,8 @@ def convert(source: Path, target: Path, loops: Loops, *, overwrite: bool) -> Non
     shutil.rmtree(work, ignore_errors=True)
     try:
         structure = read_structure(source, work, RESERVED)
+        if step_s is not None:
+            structure = replace(structure, step_s=step_s)
         if folder.exists():
             shutil.rmtree(folder)
         work.rename(folder)
@@ -55,6 +61,11 @@ def convert(source: Path, target: Path, loops: Loops, *, overwrite: bool) -> Non
         notes.append(
             f"the experiment's {own_s:g} s are not a multiple of the step size {structure.step_s:g} s; an episode has "
             f"{duration_s:g} s"
+        )
+    if structure.step_s is None:
+        notes.append(
+            "the SSP file names no step size, so each FMU has that of its model description, or else 500 to 1,000 "
+            "steps in its episode; to set one for all: --step 60"
         )
     for note in notes:
         err.print(f"note: {note}", style="yellow")

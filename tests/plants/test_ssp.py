@@ -75,6 +75,22 @@ def test_convert__episode_has_whole_timesteps(
     assert (note in printed) if note else ("multiple" not in printed)
 
 
+def test_convert__step_size_that_the_file_does_not_name_is_an_option(
+    tank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = converted(tmp_path, tank, ssp.TWO_TANKS, files=ssp.VALUES, step_s=None)
+    assert "timestep" not in content
+    assert "the SSP file names no step size" in " ".join(capsys.readouterr().err.split())
+    source, target = tmp_path / "system.ssp", tmp_path / "district.yaml"
+    convert(source, target, Loops.SOLVE, overwrite=True, step_s=30.0)
+    content = parse(target.read_text(), "the file")
+    assert content["timestep"] == 30.0
+    assert {plant["plant_arguments"]["step_s"] for plant in content["plants"].values()} == {30.0}
+    assert "names no step size" not in " ".join(capsys.readouterr().err.split())
+    with pytest.raises(InvalidConfig, match="--step 0: a number of seconds above 0 expected"):
+        convert(source, target, Loops.SOLVE, overwrite=True, step_s=0.0)
+
+
 SUPPRESSED = 'suppressUnitConversion="true"'
 
 

@@ -94,7 +94,13 @@ def inline(values: str, attributes: str = "", mapping: str = "") -> str:
 
 
 def write_ssp(
-    path: Path, tank: Path, root: str, stop_s: float = 1200, files: dict[str, str] | None = None, units: str = ""
+    path: Path,
+    tank: Path,
+    root: str,
+    stop_s: float = 1200,
+    files: dict[str, str] | None = None,
+    units: str = "",
+    step_s: float | None = 60.0,
 ) -> Path:
     """Write an SSP file and return its path.
 
@@ -105,10 +111,10 @@ def write_ssp(
         stop_s: end of the default experiment, in s.
         files: further documents by their path.
         units: definitions of units.
+        step_s: step size of the master algorithm; None for a file that names none.
     """
-    annotation = (
-        '<ssc:Annotation type="org.tool"><o:FixedStepMaster xmlns:o="urn:tool" stepSize="60.0"/></ssc:Annotation>'
-    )
+    size = "" if step_s is None else f'stepSize="{step_s}"'
+    annotation = f'<ssc:Annotation type="org.tool"><o:FixedStepMaster xmlns:o="urn:tool" {size}/></ssc:Annotation>'
     text = (
         f'<?xml version="1.0"?>\n<ssd:SystemStructureDescription{SPACES} version="1.0" name="two tanks">\n{root}\n'
         f"{units}"
