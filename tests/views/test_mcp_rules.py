@@ -339,9 +339,10 @@ def test_call_log__that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
         ("write", {"node": "office", "actuator": "a", "value": 1.0, "reason": "why"}, "minutes"),
         ("write", {"node": "office", "actuator": "a", "value": 1.0, "minutes": 0, "reason": "why"}, "minutes"),
         (
-            "write", {"node": "office", "point": "a", "value": 1.0, "minutes": 1, "reason": "why"},
+            "write",
+            {"node": "office", "point": "a", "value": 1.0, "minutes": 1, "reason": "why"},
             "actuator: it is missing; point: there is no such field; there are: 'actuator'",
-        ),  # fmt: skip
+        ),
         ("write", {"node": "office", "actuator": "a", "value": float("nan"), "minutes": 1, "reason": "why"}, "value"),
     ],
 )
