@@ -312,6 +312,18 @@ def per_kwh(unit: str) -> float:
     return 1.0 / _split_unit(unit)[1]
 
 
+def price_per_kwh(what: str, unit: str) -> float:
+    """Return `per_kwh` of a point's unit; `what` names the point in the error.
+
+    Raises:
+        InvalidConfig: The unit is not a price per energy.
+    """
+    try:
+        return per_kwh(unit)
+    except ValueError as error:
+        raise InvalidConfig(f"{what}: {error}") from None
+
+
 def currency(unit: str) -> str:
     """Return the currency of a price's unit: EUR of EUR/MWh; "" for one without, such as 1/kWh.
 

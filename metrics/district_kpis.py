@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from zenostat.agent_sdk.rewards import DistrictReward
 from zenostat.agent_sdk.rewards.energy_meter import EnergyMeter
 from zenostat.agent_sdk.rewards.manifest_data import known_rewards
-from zenostat.agent_sdk.time_series import per_kwh
+from zenostat.agent_sdk.time_series import price_per_kwh
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.messages import Manifest
@@ -130,7 +130,8 @@ def district_kpis(
     if points.price is not None:
         column = _column(manifest, points.price)
         point, values = manifest.points[column], trajectory.fault_free_values[:, column]
-        prices = (values[1:] if is_mean(point) else values[:-1]) * _per_kwh(points.price, point.unit)
+        factor = price_per_kwh(f"the price {points.price!r}", point.unit)
+        prices = (values[1:] if is_mean(point) else values[:-1]) * factor
         kpis["cost_total"] = float(np.maximum(net_kwh * prices, 0.0).sum())
     if emissions_kg_kwh is not None:
         kpis["carbon_emissions_total"] = float(np.maximum(net_kwh * emissions_kg_kwh, 0.0).sum())
@@ -172,13 +173,6 @@ def _column(manifest: Manifest, name: str) -> int:
     if name not in manifest.names:
         raise InvalidConfig(f"the district has no point {name!r}; {did_you_mean(name, manifest.names)}")
     return manifest.names.index(name)
-
-
-def _per_kwh(name: str, unit: str) -> float:
-    try:
-        return per_kwh(unit)
-    except ValueError as error:
-        raise InvalidConfig(f"the price {name!r}: {error}") from None
 
 
 def _windows(net_kw: Floats, window_s: float, step_s: float) -> Iterator[Floats]:

@@ -17,7 +17,7 @@ from zenostat.agent_sdk.rewards.energy_meter import EnergyMeter
 from zenostat.agent_sdk.rewards.selectors import indices
 from zenostat.agent_sdk.rewards.slot_state import SlotState
 from zenostat.agent_sdk.rewards.terms import Quantity, Term, TermSum
-from zenostat.agent_sdk.time_series import per_kwh
+from zenostat.agent_sdk.time_series import price_per_kwh
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.messages import Manifest
 from zenostat.topics.points import is_mean, value_index
@@ -111,7 +111,7 @@ class DistrictReward(ComfortBand):
                 Cost(
                     net,
                     index,
-                    _per_kwh(self.price, manifest.points[index].unit),
+                    price_per_kwh(f"the district reward's price {self.price!r}", manifest.points[index].unit),
                     state,
                     is_mean=is_mean(manifest.points[index]),
                 ),
@@ -123,13 +123,6 @@ class DistrictReward(ComfortBand):
         if not terms:
             raise InvalidConfig(f"the district reward has no weight above 0; there are: {', '.join(_METRICS)}")
         return TermSum(terms, ["net_kw", *(_METRICS[term.name] for term in terms)], state)
-
-
-def _per_kwh(name: str, unit: str) -> float:
-    try:
-        return per_kwh(unit)
-    except ValueError as error:
-        raise InvalidConfig(f"the district reward's price {name!r}: {error}") from None
 
 
 def _index(kind: str, name: str, manifest: Manifest) -> int:
