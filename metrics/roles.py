@@ -7,10 +7,10 @@ setpoint schedules, are recognized by the words of their names.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from zenostat.metrics.energy_meters import meter_name
+from zenostat.metrics.energy_meters import EnergySource, facility_sources, hvac_sources, meter_name
 from zenostat.metrics.labels import label, words, zone_labels
 from zenostat.topics.energyplus_names import (
     COOLING_SETPOINT,
@@ -52,10 +52,6 @@ _NO_PLACE = {
     "zone", "zones",
 } | _SETPOINT_WORDS  # fmt: skip
 """Words of a setpoint's name that do not tell its zone."""
-_ELECTRIC_WORDS = {"electric", "electrical", "electricity", "power"}
-_NOT_ELECTRIC_WORDS = {"cooling", "gain", "heating", "pv", "solar", "thermal"}
-"""Words of powers that are not electric, unless the name says so, or that are generated."""
-
 _UNCONDITIONED = {"attic", "crawlspace", "plenum"}
 """Words of zones that a setpoint without a place does not serve."""
 
@@ -152,10 +148,9 @@ def roles(manifest: Manifest) -> PointRoles:
     """Return the roles of a node's points; points that are not recognized are in `others`."""
     zones = _zones(manifest)
     outdoor = _outdoor(manifest)
-    facility = _power(manifest, _FACILITY)
-    hvac = _power(manifest, _HVAC)
-    if facility is None and not any(quantity(point.unit) == "energy" for point in manifest.meters):
-        facility = _plant_power(manifest, hvac)
+    facility, hvac = (
+        _power(manifest, sources(manifest).get("electricity")) for sources in (facility_sources, hvac_sources)
+    )
     end_uses, fuels, hvac_fuels = _meters(manifest)
     assigned = {index for zone in zones for index in _sensors(zone)}
     assigned |= {source.index for source in (facility, hvac) if source is not None}
@@ -339,57 +334,10 @@ def _outdoor(manifest: Manifest) -> int | None:
     return None
 
 
-_FACILITY = dict.fromkeys(
-    ("electricity:facility", "electricity", "electricity_facility", FACILITY_POWER.casefold()), "Whole building"
-)
-_HVAC = {
-    "hvac:electricity": "HVAC",
-    "hvac_electricity": "HVAC",
-    "electricity_hvac": "HVAC",
-    "electricity:hvac": "HVAC without plant",
-    HVAC_POWER.casefold(): "HVAC and plant",
-}
-"""Meters, the names of a plant's own points, and an output variable, the best one first, with what each measures."""
-
-
-def _power(manifest: Manifest, labels: Mapping[str, str]) -> PowerSource | None:
-    """Return the first of these meters, else of these output variables or of a plant's sensors of these names."""
-    first = len(manifest.sensors)
-    meters = {meter_name(meter): i for i, meter in reversed(list(enumerate(manifest.meters)))}
-    sensors = {
-        (sensor.variable or sensor.name.removesuffix("_power")).casefold(): i
-        for i, sensor in reversed(list(enumerate(manifest.sensors)))
-        if quantity(sensor.unit) == "power"
-    }
-    for name, text in labels.items():
-        index = meters.get(name)
-        if index is not None and quantity(manifest.meters[index].unit) == "energy":
-            return _source(manifest, first + index, text)
-    for name, text in labels.items():
-        if name in sensors:
-            return _source(manifest, sensors[name], text)
-    return None
-
-
-def _plant_power(manifest: Manifest, hvac: PowerSource | None) -> PowerSource | None:
-    """Return the only power sensor of a plant without EnergyPlus's variables, if its name says electric."""
-    sensors = [
-        index
-        for index, sensor in enumerate(manifest.sensors)
-        if quantity(sensor.unit) == "power" and not sensor.variable and (hvac is None or index != hvac.index)
-    ]
-    if len(sensors) != 1 or not _is_electric(manifest.sensors[sensors[0]].name):
+def _power(manifest: Manifest, source: EnergySource | None) -> PowerSource | None:
+    if source is None:
         return None
-    return _source(manifest, sensors[0], "Whole building")
-
-
-def _is_electric(name: str) -> bool:
-    electric = _ELECTRIC_WORDS.intersection(words(name))
-    return bool(electric) and (electric != {"power"} or not _NOT_ELECTRIC_WORDS.intersection(words(name)))
-
-
-def _source(manifest: Manifest, index: int, text: str) -> PowerSource:
-    return PowerSource(index, power_kw(manifest.points[index].unit, manifest.step_s), text)
+    return PowerSource(source.index, power_kw(manifest.points[source.index].unit, manifest.step_s), source.label)
 
 
 def _meters(manifest: Manifest) -> tuple[list[EndUse], list[EndUse], list[EndUse]]:

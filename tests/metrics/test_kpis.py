@@ -22,8 +22,9 @@ from zenostat.metrics.energy_meters import WITH_PLANT, WITHOUT_PLANT, hvac_sourc
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
 from zenostat.metrics.fuel_rates import read_emissions, read_prices
 from zenostat.metrics.kpis import CO2_LIMIT_PPM, KPIS, PeakPower
+from zenostat.metrics.roles import roles
 from zenostat.topics.errors import InvalidConfig
-from zenostat.topics.messages import Aggregation, Manifest, Task
+from zenostat.topics.messages import Aggregation, Manifest, Sensor, Task
 
 KWH = 3.6e6
 BEGIN = datetime(2017, 7, 3)
@@ -189,6 +190,29 @@ def test_kpis__gas_of_the_whole_building_is_not_hvac_gas() -> None:
     assert "natural_gas" in MetricsAccumulator(of).sources["kpi.ener_tot"]
     without_gas = accumulated(of, [{}, {"cooling": KWH}], **rates).kpis  # the building burned none
     assert (without_gas["ener_tot"], without_gas["pgas_tot"]) == (pytest.approx(1 / 100), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("electricity", "W"), ("electricity_power", "kW"), ("electricity_facility_power", "W"), ("power", "W"),
+        ("heater_electric_power", "W"), ("hvac_electricity_power", "kW"), ("electricity_hvac", "W"),
+    ],
+)  # fmt: skip
+def test_metrics__plant_that_measures_only_a_power_has_an_energy_and_a_peak(name: str, unit: str) -> None:
+    of = manifest(sensors=[Sensor(name="temperature", unit="degC"), Sensor(name=name, unit=unit)])
+    kw = {"W": 1000.0, "kW": 1.0}[unit]
+    metrics = accumulated(of, [{name: power * kw} for power in (9.0, 1.0, 2.0, 1.0)])  # quarters of an hour
+    is_hvac = "hvac" in name
+    (energies, without), shown = (metrics.energy_kwh, metrics.hvac_kwh), roles(of)
+    if is_hvac:
+        energies, without = without, energies
+    assert (energies, without) == ({"electricity": pytest.approx(1.0)}, {})
+    assert (metrics.mean_power_w, metrics.peak_kw) == (pytest.approx(4000.0 / 3.0), pytest.approx(2.0))
+    source = shown.hvac_power if is_hvac else shown.facility_power
+    assert source is not None
+    assert (source.index, source.to_kw, source.label) == (1, 1.0 / kw, "HVAC" if is_hvac else "Whole building")
+    assert (shown.hvac_power is None, shown.facility_power is None) == (not is_hvac, is_hvac)
 
 
 def test_kpis__a_plant_that_is_no_building_counts_whole() -> None:
