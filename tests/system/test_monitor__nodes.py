@@ -94,6 +94,25 @@ def _begins(manifest):
 
 
 @pytest.mark.slow
+def test_monitor__a_node_that_is_started_again_has_entities_of_its_own(scratch):
+    path, own = scratch / "run.rrd", f"tcp/127.0.0.1:{free_port()}"
+    starts = (20.0, 50.0)
+    with (
+        open_session(listen=[own]) as session,
+        RerunStream(session, "*", [rr.FileSink(str(path))], is_live=True) as stream,
+    ):
+        for count, start in enumerate(starts, 1):
+            plant = scratch / f"tank_{count}.py"
+            plant.write_text(TANK.replace("= 20.0", f"= {start}"))
+            with NodeProgram(scratch / f"tank-{count}", name="tank", plant=f"{plant}:Tank", mode="free", connect=[own]):
+                _pump_until(stream, lambda seen=61 * count: stream.samples >= seen, "the whole episode is shown")
+    by_run = {e.split("/")[2]: rows for e, rows in logged(path, "Scalars:scalars").items() if "points" in e}
+    assert set(by_run) == {"episode_0000", "run_2_episode_0000"}
+    for rows, start in zip((by_run["episode_0000"], by_run["run_2_episode_0000"]), starts, strict=True):
+        assert [rows[step][0] for step in range(61)] == pytest.approx([start + 0.1 * step for step in range(61)])
+
+
+@pytest.mark.slow
 def test_monitor__node_of_an_older_schema_is_named_and_not_shown(scratch, shared_node):
     notices: list[str] = []
     with (

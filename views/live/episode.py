@@ -40,6 +40,7 @@ class NodeModel:
         roles: of its points.
         comfort: its zones' comfort bands; None without zone temperatures.
         geometry, building: its geometry and the meshes of it; None for a plant without one.
+        run: number of the node among those of its name, from 1.
     """
 
     manifest: Manifest
@@ -47,6 +48,7 @@ class NodeModel:
     comfort: Comfort | None
     geometry: Geometry | None = None
     building: BuildingModel | None = None
+    run: int = 1
 
     @property
     def days(self) -> float:
@@ -73,7 +75,7 @@ class EpisodeView:
     ) -> None:
         self._node, self._reward = node, reward
         manifest, roles, comfort = node.manifest, node.roles, node.comfort
-        self.log = EpisodeLog(recording, episode_path(manifest.node, episode), manifest.begin)
+        self.log = EpisodeLog(recording, episode_path(manifest.node, episode, node.run), manifest.begin)
         self.series = [*all_series(manifest, roles, has_comfort=comfort is not None), *grid_series(manifest)]
         for series in self.series:
             self.log.static(series.path, series.style())

@@ -44,6 +44,7 @@ class NodeStream:
         comfort, reward: as of `RerunStream`.
         history: reads the samples that precede the first one of an episode; by default they count as missed.
         status: reads the alarms and faults that go on without an event: before the first one, and from a snapshot.
+        run: number of the node among those of its name that the recording has, from 1.
 
     Attributes:
         model: what all episodes share.
@@ -63,9 +64,11 @@ class NodeStream:
         reward: RewardFactory | None,
         history: HistoryReader | None = None,
         status: StatusReader | None = None,
+        run: int = 1,
     ) -> None:
         self._recording, self._geometry = recording, geometry
         self._comfort, self._reward, self._history, self._read_status = comfort, reward, history, status
+        self._run = run
         self.model = self._model(manifest)
         self.view: EpisodeView | None = None
         self.samples: list[Sample] = []
@@ -90,7 +93,7 @@ class NodeStream:
                 building = building_model(self._geometry, [zone.key for zone in its_roles.zones])
             except BadMessage:
                 self._geometry = None
-        return NodeModel(manifest, its_roles, self._comfort(manifest), self._geometry, building)
+        return NodeModel(manifest, its_roles, self._comfort(manifest), self._geometry, building, self._run)
 
     def set_manifest(self, manifest: Manifest) -> None:
         """Take a new manifest, as after faults were set; plots begin anew if points differ."""
@@ -214,7 +217,7 @@ class NodeStream:
         level = "WARN" if is_alarm or event.kind in _WARNINGS else "INFO"
         text = f"{event.kind.replace('_', ' ')}: {event.text}" + (f" ({event.source})" if event.source else "")
         text = f"{moment.day} {moment:%b %H:%M}  {text}"
-        log = EpisodeLog(self._recording, episode_path(manifest.node, event.episode), manifest.begin)
+        log = EpisodeLog(self._recording, episode_path(manifest.node, event.episode, self._run), manifest.begin)
         times = np.array([moment], "M8[ns]")
         log.columns_at(EVENTS, times, np.array([event.step]), rr.TextLog.columns(text=[text], level=[level]))
 

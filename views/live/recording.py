@@ -21,9 +21,9 @@ def entity_path(*parts: str) -> str:
     return "/" + "/".join(map(rr.escape_entity_path_part, texts))
 
 
-def episode_path(node: str, episode: int) -> str:
-    """Return the path of an episode's entity."""
-    return entity_path(node, f"episode_{episode:04}")
+def episode_path(node: str, episode: int, run: int = 1) -> str:
+    """Return the path of an episode's entity; later runs of a node of that name count their episodes anew."""
+    return entity_path(node, f"episode_{episode:04}" if run == 1 else f"run_{run}_episode_{episode:04}")
 
 
 class EpisodeLog:

@@ -1,8 +1,9 @@
 """The bus as a live view in Rerun.
 
 A stream subscribes to the nodes' batches through a ring buffer; nodes never wait for it. Each episode of a node has
-entities of its own, `/{node}/episode_0000/...`, on two timelines: `simulated` (the building's local standard time) and
-`step`. The layout shows the latest episode of each node.
+entities of its own, `/{node}/episode_0000/...`, or `/{node}/run_2_episode_0000/...` of the second node of that name, on
+two timelines: `simulated` (the building's local standard time) and `step`. The layout shows the latest episode of each
+node.
 """
 
 from __future__ import annotations
@@ -103,6 +104,7 @@ class RerunStream:
         self._session, self._is_live = session, is_live
         self._comfort, self._reward, self._notify = comfort, reward, notify
         self._nodes: dict[str, NodeStream] = {}
+        self._runs: dict[str, int] = {}  # number of nodes that each name had
         self._all = node == "*"
         if not self._all:
             keys.check_name(node, "the node's name")
@@ -218,6 +220,7 @@ class RerunStream:
             return
         if known is not None and not is_same:
             known.flush()  # the node was restarted, and its steps start from 0
+            known.draw()
             self._missed_before += known.missed
             del self._nodes[name]
         self._pending_nodes.setdefault(name, time.monotonic())
@@ -310,10 +313,12 @@ class RerunStream:
             known.set_manifest(manifest)
             return known
         name = manifest.node
+        self._runs[name] = self._runs.get(name, 0) + 1
         geometry = self._ask(name, keys.GEOMETRY, Query(), Geometry)  # None for a plant without one, or an older node
         node = self._nodes[name] = NodeStream(
-            self.recording, manifest, geometry, self._comfort, self._reward, self._read_history, self._read_status
-        )
+            self.recording, manifest, geometry, self._comfort, self._reward, self._read_history, self._read_status,
+            self._runs[name],
+        )  # fmt: skip
         return node
 
     def _read_status(self, manifest: Manifest) -> NodeStatus:
