@@ -28,7 +28,8 @@ _NO_PAYLOAD = {
         "A Zenoh query (`get`) without a payload, on the key of a message that is also published. The reply is the "
         "latest such message; a query with a payload is rejected with an `ErrorReply`."
     ),
-    PRESENCE: "A Zenoh liveliness token: it exists as long as its owner is connected and has no payload.",
+    PRESENCE: "A Zenoh liveliness token: it exists as long as its owner is connected and has no payload. Whoever "
+    "watches one subscribes with Zenoh's `history`: the loss of a token is reported only to whoever has received it.",
 }
 _CERTIFICATE = "certificate"
 _ITEMS = {
