@@ -1,11 +1,14 @@
 """Samples and events that are lost on the way, and large messages of strangers, which once displaced them."""
 
+import re
 from collections.abc import Callable
 from typing import Any
 
 import msgpack
 import numpy as np
 import pytest
+import zenoh
+from support.contract_page import PAGE
 from support.nodes import NodeProgram, Program, engines_of, until, values_of_day
 
 import zenostat
@@ -79,6 +82,37 @@ def test_lost_sample__is_requested(episode_bus: Bus, step: int) -> None:
         lost = lose(link, is_sample(step))
         assert values_of_day(link) == quiet
     assert lost == [keys.SAMPLE.at("office")]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lost", ["command", "sample"])
+def test_lost_messages__program_of_the_contract_goes_on(
+    episode_bus: Bus, capsys: pytest.CaptureFixture[str], lost: str
+) -> None:
+    text = PAGE.read_text(encoding="utf-8").partition("## A complete controller")[2]
+    code = re.search(r"```python\n(.*?)```", text, re.S)
+    assert code is not None
+    program = code[1].replace("tcp/127.0.0.1:7447", episode_bus.endpoint)
+    steps: list[int] = []
+
+    def put(session: zenoh.Session, key: str, payload: bytes, **options: Any) -> None:
+        (step,) = msgpack.unpackb(payload)["step"]
+        steps.append(step)
+        if lost == "sample" or step != 40 or steps.count(40) > 1:
+            session.put(key, payload, **options)
+
+    def without_lost(put: Callable[[zenoh.Sample], None]) -> Callable[[zenoh.Sample], None]:
+        def put_others(message: zenoh.Sample) -> None:
+            if lost == "command" or not is_sample(40)(str(message.key_expr), message.payload.to_bytes()):
+                put(message)
+
+        return put_others
+
+    program = program.replace("session.put(", "put(session, ").replace("inbox.put", "without_lost(inbox.put)")
+    exec(program, {"put": put, "without_lost": without_lost})
+    assert capsys.readouterr().out.startswith("[96] ")
+    assert sorted({*steps}) == [*range(96)]
+    assert steps.count(40) >= (2 if lost == "command" else 1)
 
 
 @pytest.mark.slow
