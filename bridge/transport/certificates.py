@@ -52,6 +52,8 @@ _LOCAL = ("localhost", "127.0.0.1", "::1")
 EXPIRES_SOON = timedelta(days=30)
 """Time before the end of a certificate's validity from which it is warned of."""
 
+_MINUTE = "%Y-%m-%d %H:%M UTC"
+_RENEW = "renew it with: zenostat keys add --force"
 _BACKDATED = timedelta(hours=1)  # the clocks of machines differ
 
 
@@ -221,11 +223,19 @@ def _is_certificate(path: Path) -> bool:
 
 
 def expiry_warning(expires: datetime) -> str:
-    """Return when a certificate expires, if that is within 30 days."""
+    """Return when a certificate expires or has expired, if that is within 30 days."""
     left = expires - datetime.now(UTC)
     if left > EXPIRES_SOON:
         return ""
-    return f"expires on {expires:%Y-%m-%d}, in {max(left.days, 0)} days; renew it with: zenostat keys add --force"
+    if left <= timedelta(0):
+        return expired_on(expires)
+    duration = f"{left.days} days" if left.days > 1 else f"{int(left.total_seconds() / 3600)} h"
+    return f"expires on {expires:{_MINUTE}}, in {duration}; {_RENEW}"
+
+
+def expired_on(expires: datetime) -> str:
+    """Return when a certificate has expired, and the remedy."""
+    return f"expired on {expires:{_MINUTE}}; {_RENEW}"
 
 
 def _shown(path: Path, authority: x509.Certificate) -> Certificate:
@@ -426,9 +436,9 @@ def _described(name: str, certificate: x509.Certificate, authority: x509.Certifi
 def _fault(certificate: x509.Certificate, authority: x509.Certificate) -> str:
     now = datetime.now(UTC)
     if certificate.not_valid_after_utc < now:
-        return f"expired on {certificate.not_valid_after_utc:%Y-%m-%d}; renew it with: zenostat keys add --force"
+        return expired_on(certificate.not_valid_after_utc)
     if certificate.not_valid_before_utc > now:
-        return f"not valid before {certificate.not_valid_before_utc:%Y-%m-%d %H:%M} UTC; is this machine's clock right?"
+        return f"not valid before {certificate.not_valid_before_utc:{_MINUTE}}; is this machine's clock right?"
     try:
         certificate.verify_directly_issued_by(authority)
     except (ValueError, TypeError, InvalidSignature):

@@ -225,16 +225,22 @@ def test_certificates__certificate_that_is_not_there(pki: Path) -> None:
 
 def test_certificates__expired_certificate(pki: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     expire(pki, "late", monkeypatch)
-    with pytest.raises(InvalidConfig, match=r"late\.pem: expired on .*zenostat keys add --force"):
+    with pytest.raises(
+        InvalidConfig, match=r"late\.pem: expired on \d{4}-\d\d-\d\d \d\d:\d\d UTC; .*zenostat keys add --force"
+    ):
         identity(pki, Role.CONTROLLER, "late")
 
 
-@pytest.mark.parametrize(("days", "is_soon"), [(1, True), (29, True), (31, False)])
-def test_certificates__that_expire_within_30_days_are_warned_of(tmp_path: Path, days: int, is_soon: bool) -> None:
+@pytest.mark.parametrize(("days", "left"), [(1, "23 h"), (2, "47 h"), (29, "28 days"), (31, "")])
+def test_certificates__that_expire_within_30_days_are_warned_of(tmp_path: Path, days: int, left: str) -> None:
     warnings = {one.name: one.warning for one in make(tmp_path, days=days)}
     assert warnings["ca"] == ""
-    assert ("expires on" in warnings["monitor"]) == is_soon
-    assert (f"in {days - 1} days" in identity(tmp_path, Role.MONITOR).warning) == is_soon
+    certificate = identity(tmp_path, Role.MONITOR)
+    expected = (
+        f"expires on {certificate.expires:%Y-%m-%d %H:%M} UTC, in {left}; renew it with: zenostat keys add --force"
+    )
+    assert warnings["monitor"] == (expected if left else "")
+    assert certificate.warning == (f"{certificate.certificate} {expected}" if left else "")
 
 
 def test_certificates__certificate_of_the_morrow(pki: Path, monkeypatch: pytest.MonkeyPatch) -> None:
