@@ -141,6 +141,10 @@ class _Limits:
             self._sizes[anchor] = self._nodes - before
 
 
+_KINDS = {list: "a list", dict: "a name that is not a text"}
+"""What a file has instead of a mapping with names as keys."""
+
+
 def _fail(text: str, event: Any) -> NoReturn:
     raise yaml.constructor.ConstructorError(None, None, text, event.start_mark)
 
@@ -182,10 +186,22 @@ def parse(text: str, what: str) -> dict[str, Any]:
             limits.check(event)
         mapping = yaml.load(text, _Loader)  # noqa: S506  # a SafeLoader
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise InvalidConfig(f"{what} is not valid YAML: {error}") from None
+        raise InvalidConfig(f"{what} is not valid YAML: {_describe(error)}") from None
     if not isinstance(mapping, dict) or not all(isinstance(key, str) for key in mapping):
-        raise InvalidConfig(f"{what} should contain names and values, such as `building: office-small`")
+        content = "it is empty" if mapping is None else f"got {_KINDS.get(type(mapping), 'a single value')}"
+        raise InvalidConfig(f"{what}: names with values expected, each as `name: value`; {content}")
     return mapping
+
+
+def _describe(error: Exception) -> str:
+    """Describe an error of PyYAML in one line, without the stream's name."""
+    if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
+        context = f" {error.context}" if error.context else ""
+        mark = error.problem_mark
+        return f"line {mark.line + 1}, column {mark.column + 1}: {error.problem}{context}"
+    if isinstance(error, yaml.reader.ReaderError):
+        return f"position {error.position}: unacceptable character #x{error.character:04x}"
+    return str(error)
 
 
 class Lines(dict[tuple[str | int, ...], int]):
