@@ -6,6 +6,7 @@ import csv
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from stat import S_ISDIR
 
 from zenostat.topics.errors import InvalidConfig, UsageError
 
@@ -30,6 +31,13 @@ def user_file(path: Path, error: type[UsageError] = InvalidConfig, expected: str
         raise error(f"{absolute(path)} is a folder; expected {expected}") from None
     except (OSError, RuntimeError, UnicodeDecodeError, csv.Error) as reason:  # RuntimeError: ~name of an unknown user
         raise error(f"cannot read {absolute(path)}: {getattr(reason, 'strerror', None) or reason}") from None
+
+
+def check_user_file(path: Path, error: type[UsageError] = InvalidConfig, expected: str = "a file") -> None:
+    """Check that a user's file exists and is no folder; as `user_file`, before anything reads it."""
+    with user_file(path, error, expected):
+        if S_ISDIR(path.stat().st_mode):
+            raise IsADirectoryError
 
 
 def absolute(path: Path) -> Path:

@@ -14,6 +14,7 @@ from zenostat.agent_sdk.controllers.parameters import check_parameters, with_par
 from zenostat.bridge.runtime.source_loader import importable, load_file
 from zenostat.bridge.runtime.user_code import describe_user_error
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
+from zenostat.topics.user_file import check_user_file
 
 CONTROLLERS: dict[str, type[Controller]] = {}
 """Controllers by short name, as for `zenostat run --controller`; the package fills it."""
@@ -80,8 +81,8 @@ def _load_file_of_parameters(text: str) -> Callable[..., ControllerProtocol]:
 def _load_module(source: str) -> ModuleType:
     path = Path(source).expanduser()
     is_file = path.suffix == ".py" or "/" in source
-    if is_file and not path.is_file():
-        raise UnknownName(f"there is no file {path.absolute()} to load a controller from")
+    if is_file:
+        check_user_file(path, UnknownName, "a Python file")
     folder = path.absolute().parent if is_file else Path.cwd()
     try:
         with importable(folder):

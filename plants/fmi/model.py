@@ -16,6 +16,7 @@ from zenostat.topics.cache import cached_dir
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.extras import import_extra
 from zenostat.topics.plurals import counted
+from zenostat.topics.user_file import check_user_file
 
 CO_SIMULATION, MODEL_EXCHANGE = "CoSimulation", "ModelExchange"
 MAX_BYTES = 4 << 30
@@ -63,8 +64,7 @@ def read_model(file: Path, interface: str | None) -> Model:
         InvalidConfig: it is no FMU, or none that can be simulated; the text names the reason.
     """
     library = fmpy()
-    if not file.is_file():
-        raise InvalidConfig(f"no FMU {file}; name a file that exists, such as plant.fmu")
+    check_user_file(file, expected="an FMU")
     with _as_config_error(file):
         with zipfile.ZipFile(file) as archive:
             names = set(archive.namelist())

@@ -13,6 +13,7 @@ from urllib.parse import unquote
 from zenostat.plants.fmi.model import MAX_BYTES
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import import_extra
+from zenostat.topics.user_file import check_user_file
 
 NAMESPACES = {
     "ssc": "http://ssp-standard.org/SSP1/SystemStructureCommon",
@@ -133,8 +134,7 @@ def open_archive(path: Path) -> Iterator[Archive]:
     Raises:
         InvalidConfig: there is no such file, or it is no SSP file.
     """
-    if not path.is_file():
-        raise InvalidConfig(f"there is no file {path}; name an SSP file, such as system.ssp")
+    check_user_file(path, expected="an SSP file")
     try:
         with zipfile.ZipFile(path) as content:
             if STRUCTURE not in content.namelist():

@@ -265,6 +265,7 @@ def test_load_controller__file_beside_modules_with_the_names_of_our_packages(
         ("training/none", UnknownName, r"there is no folder /.*/training/none to load a controller from"),
         ("nowhere/mine.py", UnknownName, r"no controller 'nowhere/mine\.py'; .*path/to/file\.py:MyController"),
         ("nowhere/mine.py:Mine", UnknownName, r"there is no file .*/nowhere/mine\.py"),
+        ("folder.py:Mine", UnknownName, r"/folder\.py is a folder; expected a Python file"),
         ("mine.py:Mien", UnknownName, r"there is no 'Mien' in mine\.py; did you mean 'Mine'"),
         ("mine.py:VALUE", InvalidConfig,
             r"VALUE of mine\.py is not a controller: expected a class with a method act\(sample\)"),
@@ -289,6 +290,7 @@ def test_controllers__what_is_no_controller(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.py").write_text(MINE + NO_CONTROLLERS)
     (tmp_path / "broken.py").write_text("\n\n1 / 0\n")
+    (tmp_path / "folder.py").mkdir()
     (tmp_path / "wrong.py").write_text("class\n")
     (tmp_path / "quits.py").write_text("import sys\nsys.exit(3)\n")
     with pytest.raises(error, match=message) as caught:

@@ -274,8 +274,10 @@ def test_python_plant__plant_is_written_as_place_and_class(plant: str) -> None:
 
 def test_python_plant__missing_file_module_or_class_is_named(folder: Path) -> None:
     (folder / "tank_file.py").write_text("from pathlib import Path\nclass Tank: pass\nTonk = 5\n")
+    (folder / "folder.py").mkdir()
     for plant, reason in {
-        "tonk.py:Tank": "no file tonk.py",
+        "tonk.py:Tank": f"there is no file {folder / 'tonk.py'}",
+        "folder.py:Tank": f"{folder / 'folder.py'} is a folder; expected a Python file",
         ".:Tank": "write it as",
         "no.such.module:Tank": "no module 'no.such.module'",
         "tank_file.py:Tunk": "no class 'Tunk' in tank_file.py; did you mean 'Tank'",

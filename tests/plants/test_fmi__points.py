@@ -305,13 +305,18 @@ def test_fmu__threads_of_its_own_are_stated(tank: Path) -> None:
 
 @pytest.mark.parametrize(
     ("content", "text"),
-    [(b"no zip", "it is not a ZIP file"), (None, "no FMU")],
+    [
+        (b"no zip", "it is not a ZIP file"),
+        (None, r"there is no file .*/other\.fmu"),
+        ("folder", "is a folder; expected an"),
+    ],
 )
-def test_fmu__other_files_are_named(module_scratch: Path, content: bytes | None, text: str) -> None:
-    path = module_scratch / "other.fmu"
-    path.unlink(missing_ok=True)
-    if content is not None:
+def test_fmu__other_files_are_named(tmp_path: Path, content: bytes | str | None, text: str) -> None:
+    path = tmp_path / "other.fmu"
+    if isinstance(content, bytes):
         path.write_bytes(content)
+    elif content is not None:
+        path.mkdir()
     with pytest.raises(InvalidConfig, match=text):
         FmuPlant(str(path))
 
