@@ -143,6 +143,11 @@ class PointRoles:
     labels: tuple[str, ...] = ()
     actuator_labels: tuple[str, ...] = ()
 
+    @property
+    def other_fuels(self) -> tuple[EndUse, ...]:
+        """Meters of the whole building of fuels besides electricity, such as natural gas."""
+        return tuple(meter for meter in self.fuels if meter.fuel != "electricity")
+
 
 def roles(manifest: Manifest) -> PointRoles:
     """Return the roles of a node's points; points that are not recognized are in `others`."""

@@ -13,7 +13,7 @@ import numpy as np
 from zenostat.metrics.roles import PointRoles
 from zenostat.topics.plurals import counted
 from zenostat.views.live.samples import BASELINE, Floats, SampleBlock
-from zenostat.views.live.totals import TotalRows, fuels_besides_electricity
+from zenostat.views.live.totals import TotalRows
 
 NUMBERS = "numbers"
 _NO_VALUE = "\N{EN DASH}"
@@ -89,7 +89,7 @@ def numbers_of(
     air, outdoor = values[:, zones], roles.outdoor_temperature
     outside = (np.abs(block.deviations) > 0.05).sum(axis=1).tolist()
     limits = zip(block.low.min(axis=1).tolist(), block.high.max(axis=1).tolist(), strict=True) if has_band else nothing
-    fuels = [fuel.fuel for fuel in fuels_besides_electricity(roles)]
+    fuels = [fuel.fuel for fuel in roles.other_fuels]
     uses = zip(totals.fuels_kw.tolist(), totals.fuels_kwh.tolist(), strict=True)
     columns: dict[str, Iterable[Any]] = {
         "time": block.times.astype("M8[s]").tolist(),

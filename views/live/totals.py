@@ -19,7 +19,7 @@ class TotalRows:
         facility_kw, hvac_kw: electric power, mean of the timestep; NaN where the node does not measure it.
         facility_kwh, hvac_kwh: electricity since the first sample; NaN where the node does not measure it.
         peak_kw: highest electric power of the whole building since the first sample; NaN before the first timestep.
-        fuels_kw, fuels_kwh: power and energy of each fuel of `fuels_besides_electricity`, shape (n, fuels).
+        fuels_kw, fuels_kwh: power and energy of each fuel of `PointRoles.other_fuels`, shape (n, fuels).
         outside_kh: degree-hours outside the comfort band, sum over the zones.
         occupied_kh: the same in occupied zones only.
     """
@@ -35,11 +35,6 @@ class TotalRows:
     fuels_kwh: Floats
 
 
-def fuels_besides_electricity(roles: PointRoles) -> tuple[EndUse, ...]:
-    """Return the meters of the whole building's other fuels, such as natural gas."""
-    return tuple(fuel for fuel in roles.fuels if fuel.fuel != "electricity")
-
-
 class Totals:
     """Accumulates totals over the samples of an episode, from the plant's own values.
 
@@ -49,7 +44,7 @@ class Totals:
     def __init__(self, manifest: Manifest, roles: PointRoles) -> None:
         self._step_h = manifest.step_h
         self._sources = (roles.facility_power, roles.hvac_power)
-        self._fuels = fuels_besides_electricity(roles)
+        self._fuels = roles.other_fuels
         self._sums = np.zeros(4 + len(self._fuels))  # facility kWh, HVAC kWh, K h, occupied K h, fuels kWh
         self._peak_kw = np.nan
 

@@ -97,7 +97,7 @@ class Quantities:
             "electricity": points.facility_power,
             "hvac_electricity": points.hvac_power,
         }
-        sources |= {meter.fuel: meter for meter in points.fuels if meter.fuel != "electricity"}
+        sources |= {meter.fuel: meter for meter in points.other_fuels}
         sources |= {f"hvac_{meter.fuel}": meter for meter in points.hvac_fuels}
         return {
             name: values[:, source.index] * source.to_kw * self.step_h

@@ -322,10 +322,9 @@ def _totals(description: NodeDescription, values: Floats, times: list[datetime])
             power = values[:, source.index] * source.to_kw
             totals[f"{name}_kwh"] = number(float(power.sum()) * step_h)
             totals[f"{name}_peak_kw"] = number(float(power.max()))
-    for meter in description.roles.fuels:
-        if meter.fuel != "electricity":
-            power = values[:, meter.index] * meter.to_kw
-            totals[f"{meter.fuel.replace(' ', '_')}_kwh"] = number(float(power.sum()) * step_h)
+    for meter in description.roles.other_fuels:
+        power = values[:, meter.index] * meter.to_kw
+        totals[f"{meter.fuel.replace(' ', '_')}_kwh"] = number(float(power.sum()) * step_h)
     comfort = description.comfort
     if comfort is not None:
         begins = [time - timedelta(hours=step_h) for time in times]
