@@ -1,23 +1,123 @@
-"""Programs of a demonstration: a monitor, and controllers of whole episodes."""
+"""A demonstration and its programs: a node, a monitor, and controllers of whole episodes."""
 
 from __future__ import annotations
 
 import subprocess
 import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from zenostat.bridge.runtime.processes import ZENOSTAT
-from zenostat.cli.console import out
+from zenostat.cli.console import out, progress
+from zenostat.cli.reports import command_line
 from zenostat.topics.errors import InvalidConfig
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
     from zenostat import Bus
+    from zenostat.bridge.runtime.affinity import Affinity
     from zenostat.metrics.episode_metrics import EpisodeMetrics
     from zenostat.metrics.trajectory import Trajectory
-    from zenostat.views.report import Comparison
+    from zenostat.views.report import Comparison, Run
+
+
+@dataclass(frozen=True)
+class Demonstration:
+    """Runs of controllers on one node, beside a monitor.
+
+    Attributes:
+        settings: arguments of the node; its name among them.
+        affinity: cores of the node and of this process.
+        status: text while the node starts.
+        controllers: controllers of `zenostat run`, with the title of each run.
+        recording: the monitor's recording.
+        screenshot: its picture, if there is a Vulkan driver.
+        picture_options: further options of the picture.
+        report: page that compares the runs.
+        seed: as for `run_episode`.
+    """
+
+    settings: Mapping[str, Any]
+    affinity: Affinity
+    status: str
+    controllers: Sequence[tuple[str, str]]
+    recording: Path
+    screenshot: Path
+    picture_options: Sequence[str]
+    report: Path
+    seed: int | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Results of a demonstration.
+
+    Attributes:
+        runs: one for each controller.
+        rates: timesteps per second of each run.
+        monitor_lines: what the monitor has printed at its end.
+        notes: why there is no report, if so.
+    """
+
+    runs: tuple[Run, ...]
+    rates: tuple[float, ...]
+    monitor_lines: list[str]
+    notes: list[str]
+
+
+def demonstrate(demo: Demonstration) -> Outcome:
+    """Run the node, the monitor and each controller in processes of their own, and write the report."""
+    from zenostat import connect
+    from zenostat.bridge.client.local_node import LocalNode
+    from zenostat.metrics.episode_weather import query_weather
+    from zenostat.views.live.viewer import has_vulkan
+    from zenostat.views.report import Comparison, Run
+
+    runs, rates, name = [], [], demo.settings["name"]
+    with ExitStack() as stack, progress() as bars:
+        with out.status(demo.status):
+            node = LocalNode(dict(demo.settings), demo.affinity)
+        stack.callback(node.close)
+        outputs: list[object] = ["--save", demo.recording]
+        demo.screenshot.unlink(missing_ok=True)  # of an earlier run
+        if has_vulkan():
+            outputs += ["--screenshot", demo.screenshot, *demo.picture_options]
+        monitor = start_program("monitor", "--connect", node.endpoint, *outputs, "--once", wait=True)
+        stack.callback(monitor.terminate)
+        bus = stack.enter_context(connect(node.endpoint, core=node.core, affinity=demo.affinity))
+        for controller, title in demo.controllers:
+            metrics, trajectory, rate = run_episode(bus, node.endpoint, name, controller, title, bars, seed=demo.seed)
+            rates.append(rate)
+            known: dict[str, Any] = {}
+            if (weather := query_weather(bus, trajectory.manifest)) is not None:
+                known = {"weather_names": (trajectory.manifest.weather,), "weathers": (weather,)}
+            runs.append(Run(title, (metrics,), trajectory, **known))
+        scenario = bus.scenario(name)
+        bus.stop(name)
+        node.close()
+        notes = write_demo_report(Comparison(tuple(runs), scenario, command_line()), demo.report)
+        return Outcome(tuple(runs), tuple(rates), remaining_lines(monitor), notes)
+
+
+def show_outputs(demo: Demonstration, outcome: Outcome, files: Mapping[str, Path]) -> None:
+    """Print what the programs have reported, and those of these files and the screenshot that exist."""
+    from zenostat.views.live.viewer import NO_VULKAN, has_vulkan
+
+    for line in outcome.monitor_lines:
+        out.print(f"monitor: {line}")
+    if not has_vulkan():
+        out.print(f"no screenshot: {NO_VULKAN}")
+    elif not demo.screenshot.exists():
+        command = f"zenostat view {demo.recording} --screenshot {demo.screenshot}"
+        out.print(f"no screenshot; to try it again: {command}")
+    for line in outcome.notes:
+        out.print(f"report: {line}")
+    files = {**files, "screenshot": demo.screenshot}
+    out.print(", ".join(f"{name}: {path}" for name, path in files.items() if path.exists()))
 
 
 def write_demo_report(comparison: Comparison, path: Path) -> list[str]:

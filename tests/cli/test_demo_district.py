@@ -5,7 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.run_cli import run_program
+from support.tank_plant import TANK
 
+from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.cli.demo_programs import Demonstration, demonstrate, show_outputs
 from zenostat.cosim.demo import FILES, copy_files
 from zenostat.cosim.file import read_district
 from zenostat.cosim.topology import check_file
@@ -13,6 +16,7 @@ from zenostat.metrics.district_kpis import district_kpis
 from zenostat.plants.grid.file import read_grid
 from zenostat.recording import load
 from zenostat.topics import yaml12
+from zenostat.views.live import viewer
 
 
 def test_demo_district__files_are_a_district_and_its_feeder(tmp_path: Path) -> None:
@@ -29,6 +33,31 @@ def test_demo_district__has_no_options_of_a_building(tmp_path: Path) -> None:
     done = run_program("demo", "district", "--begin", "01-08", cwd=tmp_path)
     assert done.returncode == 2
     assert "the district's buildings and days are those of its file" in done.stderr
+
+
+def test_demonstration__screenshot_of_an_earlier_run_is_not_listed(
+    scratch: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("rerun")
+    monkeypatch.setattr(viewer, "has_vulkan", lambda: False)
+    demo = Demonstration(
+        settings={"plant": TANK, "name": "tank"},
+        affinity=Affinity.OFF,
+        status="starting a tank",
+        controllers=(("baseline", "as it is"),),
+        recording=scratch / "tank.rrd",
+        screenshot=scratch / "tank.png",
+        picture_options=(),
+        report=scratch / "tank.html",
+    )
+    demo.screenshot.write_bytes(b"old")
+    outcome = demonstrate(demo)
+    assert [len(run.trajectory) for run in outcome.runs] == [1441]
+    show_outputs(demo, outcome, {"live view": demo.recording})
+    shown = capsys.readouterr().out
+    assert f"no screenshot: {viewer.NO_VULKAN}"[:40] in shown
+    assert "tank.rrd" in shown
+    assert "tank.png" not in shown
 
 
 @pytest.mark.slow
