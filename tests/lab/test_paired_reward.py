@@ -1,13 +1,12 @@
 """Paired rewards: the difference to the same episodes with zero actions, in single and vector environments."""
 
-import csv
-import threading
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from support.csv_files import csv_rows
 
 import zenostat  # noqa: F401  # registers the environments
 from zenostat.agent_sdk.testing import Climate
@@ -16,7 +15,9 @@ from zenostat.topics.errors import InvalidConfig
 pytest.importorskip("stable_baselines3")
 torch = pytest.importorskip("torch")
 
-from zenostat.lab.training import read_training, train  # noqa: E402
+from support.trainings import check_resumed  # noqa: E402
+
+from zenostat.lab.training import read_training  # noqa: E402
 from zenostat.lab.training.checkpoint import capture, restore_environment  # noqa: E402
 from zenostat.lab.training.environments import TrainingEnv  # noqa: E402
 from zenostat.lab.training.parameters import make_model  # noqa: E402
@@ -73,20 +74,8 @@ def test_paired_reward__is_the_difference_of_two_environments(slots: int, tmp_pa
 @pytest.mark.slow
 @pytest.mark.parametrize("slots", [1, 2])
 def test_paired_reward__resumed_training_equals_an_uninterrupted_one(slots: int, tmp_path: Path) -> None:
-    changes: dict[str, Any] = {"slots": slots, "checkpoint_steps": 70}
-    train(read_training(fields(tmp_path / "whole", **changes)))
-    stop = threading.Event()
-    cut = train(
-        read_training(fields(tmp_path / "cut", **changes)),
-        progress=lambda status: stop.set() if status.step >= 101 else None,
-        stop=stop,
-    )
-    assert not cut.finished
-    train(read_training(fields(tmp_path / "cut", **changes)), resume=True)
-    whole, again = ((tmp_path / name / "curve.csv").read_text() for name in ("whole", "cut"))
-    assert whole == again
-    with (tmp_path / "cut" / "curve.csv").open() as file:
-        assert len([*csv.DictReader(file)]) == 192 // STEPS
+    check_resumed(lambda output: fields(output, slots=slots, checkpoint_steps=40), tmp_path)
+    assert len(csv_rows(tmp_path / "cut" / "curve.csv")) == 192 // STEPS
 
 
 @pytest.mark.parametrize("slots", [1, 2])

@@ -2,7 +2,6 @@
 
 import json
 import math
-import threading
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -20,8 +19,8 @@ from zenostat.topics.file_lock import locked
 pytest.importorskip("stable_baselines3")
 torch = pytest.importorskip("torch")
 
-from stable_baselines3.common.save_util import load_from_zip_file  # noqa: E402
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize  # noqa: E402
+from support.trainings import check_resumed, model_content, same  # noqa: E402
 
 from zenostat.agent_sdk.controllers import Agent, load_controller  # noqa: E402
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch  # noqa: E402
@@ -62,22 +61,6 @@ def fields(name: str, output: Path, **changes: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def content(path: Path) -> tuple[Any, Any]:
-    """Weights and optimizers of a model's file."""
-    _, parameters, variables = load_from_zip_file(path)
-    return parameters, variables
-
-
-def same(one: Any, other: Any) -> bool:
-    if isinstance(one, dict):
-        return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
-    if torch.is_tensor(one):
-        return torch.equal(one, other)
-    if isinstance(one, list | tuple):
-        return len(one) == len(other) and all(map(same, one, other))
-    return bool(one == other)
-
-
 @pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("name", PARAMETERS)
@@ -97,7 +80,7 @@ def test_training__weights_are_those_of_stable_baselines3_driven_by_hand(name: s
     model = ALGORITHMS[name](policy, env, seed=3, device="cpu", **parameters)
     model.learn(160)
     model.save(tmp_path / "hand.zip")
-    assert same(content(tmp_path / "file" / "model.zip"), content(tmp_path / "hand.zip"))
+    assert same(model_content(tmp_path / "file" / "model.zip"), model_content(tmp_path / "hand.zip"))
 
 
 def test_training__slots_and_normalization_are_those_of_the_documented_program(tmp_path: Path) -> None:
@@ -111,7 +94,7 @@ def test_training__slots_and_normalization_are_those_of_the_documented_program(t
     model = ALGORITHMS["ppo"]("MlpPolicy", env, seed=3, device="cpu", **parameters)
     model.learn(96)
     model.save(tmp_path / "hand.zip")
-    assert same(content(tmp_path / "file" / "model.zip"), content(tmp_path / "hand.zip"))
+    assert same(model_content(tmp_path / "file" / "model.zip"), model_content(tmp_path / "hand.zip"))
 
 
 @pytest.mark.slow
@@ -121,27 +104,7 @@ def test_training__resumed_training_equals_an_uninterrupted_one(name: str, slots
     changes: dict[str, Any] = {"slots": slots, "evaluation": {"every_steps": 50}, "checkpoint_steps": 70}
     if slots == 1:
         changes["wrappers"] = [{"wrapper": "NormalizeObservation"}]
-    check_resumed(name, tmp_path, changes)
-
-
-def check_resumed(name: str, tmp_path: Path, changes: dict[str, Any]) -> None:
-    """Stop a training within an episode and resume it; compare it with one that was not interrupted."""
-    whole = train(read_training(fields(name, tmp_path / "whole", **changes)))
-    stop = threading.Event()
-    cut = train(
-        read_training(fields(name, tmp_path / "cut", **changes)),
-        progress=lambda status: stop.set() if status.step >= 101 else None,
-        stop=stop,
-    )
-    assert not cut.finished
-    assert 0 < cut.step < whole.step
-    torch.rand(7), np.random.random(5)  # a new process has other random states
-    again = train(read_training(fields(name, tmp_path / "cut", **changes)), resume=True)
-    assert again.finished
-    assert same(content(whole.folder / "model.zip"), content(again.folder / "model.zip"))
-    for file in ("curve.csv", "evaluations.csv"):
-        if (whole.folder / file).exists():
-            assert (whole.folder / file).read_text() == (again.folder / file).read_text()
+    check_resumed(lambda output: fields(name, output, **changes), tmp_path)
 
 
 STACKED = [
@@ -162,7 +125,8 @@ def test_training__what_earlier_episodes_have_left_is_resumed(
     """The maxima of a reward, and observations of the running episode that were scaled by statistics of then."""
     arguments = {**DAY, "climate": Climate(noise_k=2.0), "reward": {"kind": "normalized"}}
     changes = {"arguments": arguments, "wrappers": wrappers, "slots": slots, "checkpoint_steps": 70}
-    check_resumed("a2c", tmp_path, changes | {"normalization": {"rewards": False}, "evaluation": False})
+    changes |= {"normalization": {"rewards": False}, "evaluation": False}
+    check_resumed(lambda output: fields("a2c", output, **changes), tmp_path)
 
 
 def test_training__is_not_resumed_with_another_scenario_file(tmp_path: Path) -> None:
@@ -237,9 +201,8 @@ def test_training__folder_of_an_older_version_is_one_sentence(tmp_path: Path) ->
     train(read_training(training))
     versions = json.loads((tmp_path / "versions.json").read_text())
     (tmp_path / "versions.json").write_text(json.dumps({**versions, "format": 0, "zenostat": "0.0.9"}))
-    for use in (lambda: load_policy(tmp_path), lambda: resume_training(tmp_path)):
-        with pytest.raises(InvalidConfig, match=r"written by Zenostat 0\.0\.9 in format 0"):
-            use()
+    with pytest.raises(InvalidConfig, match=r"written by Zenostat 0\.0\.9 in format 0"):
+        load_policy(tmp_path)
 
 
 def test_training__folder_is_neither_overwritten_nor_resumed_with_another_training(tmp_path: Path) -> None:
