@@ -1,6 +1,5 @@
 """Wrappers on a real node: what they tell of it, what they hand to it, what they keep of it."""
 
-import csv
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from support.csv_files import csv_rows
 from support.nodes import COOLING, SMALL
 
 from zenostat import wrappers as w
@@ -100,15 +100,14 @@ def test_wrappers__increments_are_what_the_building_gets(building: gym.Env[Any, 
 
 
 @pytest.mark.slow
-def test_wrappers__log_has_n_rows_with_n_steps(building: gym.Env[Any, Any], tmp_path: Path) -> None:
+def test_episode_log__has_effective_values_and_reward_terms_of_a_node(
+    building: gym.Env[Any, Any], tmp_path: Path
+) -> None:
     env = w.EpisodeLog(w.CyclicTime(building), tmp_path)
     seen = episode(env, 1, [26.0])[1:]
     (file,) = tmp_path.iterdir()
-    with file.open(newline="") as table:
-        rows = list(csv.DictReader(table))
-    assert len(rows) == N
-    assert [row["time"] for row in rows] == [info["time"] for _, info in seen]
-    for row, (values, info) in zip(rows, seen, strict=True):
+    for row, (values, info) in zip(csv_rows(file), seen, strict=True):
+        assert row["time"] == info["time"]
         assert {name: float(row[f"observation.{name}"]) for name in values} == values
         assert float(row["effective.core_cooling"]) == info["effective"][0] == 26.0
         terms = {name: float(row[f"reward.{name}"]) for name in info["reward_terms"]}

@@ -99,10 +99,8 @@ def test_cli__json_is_the_table_of_the_episodes_and_csv_the_same(scratch: Path) 
         (["--controller", "rbc", "--set", "margin"], "--set margin: expected a name and a value"),
         (["--controller", "mine.py:Mine"], "there is no file"),
         (["--controller", "rbc", "--begin", "13-01"], "13-01"),
-        (["--controller", "rbc", "--price", "wood=1"], "prices: no fuel 'wood'"),
         (["--controller", "rbc", "--price", "gas"], "--price gas: expected a fuel and a number or file"),
         (["--controller", "rbc", "--price", "gas=1", "--price", "gas=2"], "--price gas occurs twice: 1.0 and 2.0"),
-        (["--controller", "rbc", "--price", "gas=no.csv"], "prices: gas: there is no file"),
         (["--controller", "rbc", "--emissions", "electricity=-1"], "electricity has the factor -1"),
     ],
 )
