@@ -14,7 +14,7 @@ import pytest
 from support.bacnet import INSTANCE, free_udp_port, served
 from support.csv_files import csv_rows
 from support.nodes import NodeProgram, Program
-from support.run_cli import ZENOSTAT, error_of, run_in_process, run_program
+from support.run_cli import ZENOSTAT, run_in_process
 
 from zenostat import Bus
 from zenostat.topics.device_addresses import instance_numbers
@@ -127,28 +127,6 @@ def test_bacnet_gateway__bacnet_stack_reads_and_writes(episode_bus: Bus, shared_
         assert float(ask("bacrp", "present-value")) != 26.5
 
 
-@pytest.mark.parametrize(
-    ("address", "expected"),
-    [
-        ("192.0.2.77:47808", "--expose"),
-        ("[::1]:47808", "BACnet/IP needs an IPv4 address"),
-        ("127.0.0.1:0", "port 0 is not possible"),
-        ("somewhere:47808", "is not an address to listen on"),
-    ],
-)
-def test_bacnet_gateway__address_that_is_not_possible_is_one_line(address: str, expected: str) -> None:
-    assert expected in error_of("gateway", "bacnet", "office", "--address", address, columns=200)
-
-
-@pytest.mark.slow
-def test_bacnet_gateway__node_that_does_not_exist_is_one_line(shared_node: NodeProgram) -> None:
-    address = f"127.0.0.1:{free_udp_port()}"
-    ended = run_program("gateway", "bacnet", "nobody", "--connect", shared_node.endpoint, "--address", address)
-    assert ended.returncode != 0
-    assert "'nobody'" in ended.stderr
-    assert "Traceback" not in ended.stderr
-
-
 @pytest.mark.slow
 def test_bacnet_gateway__example_steps_the_node_and_commands_it_in_the_afternoon(
     episode_bus: Bus, shared_node: NodeProgram
@@ -192,8 +170,3 @@ def test_bacnet_gateway__objects_are_written_as_a_table(episode_bus: Bus, tmp_pa
     missing = str(tmp_path / "none" / "objects.csv")
     refused = run_in_process("gateway", "bacnet", "office", "--connect", episode_bus.endpoint, "--objects", missing)
     assert (refused.returncode, "No such file" in refused.stderr) == (2, True)
-
-
-def test_bacnet_gateway__source_that_leaves_no_room_for_the_address_is_refused() -> None:
-    ended = run_in_process("gateway", "bacnet", "office", "--source", "x" * 101)
-    assert (ended.returncode, "101 characters" in ended.stderr) == (2, True)

@@ -412,26 +412,6 @@ def test_modbus_gateway__node_that_is_gone_is_a_gateway_exception_and_its_return
             node.close()
 
 
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        (("office", "--address", "0.0.0.0:1502"), "--expose"),
-        (("office", "--address", "here:1502"), "write ADDRESS:PORT"),
-        (("office", "--address", "127.0.0.1:99999"), "write ADDRESS:PORT"),
-        (("office", "--word-order", "middle"), "expected big or little"),
-        (("office", "--map", "map.xlsx"), ".csv or .md"),
-        (("ofice",), "did you mean 'office'"),
-    ],
-)
-def test_modbus_gateway__bad_settings_have_one_error(
-    shared_node: NodeProgram, options: tuple[str, ...], text: str
-) -> None:
-    done = run_in_process("gateway", "modbus", *options, "--connect", shared_node.endpoint)
-    assert done.returncode in (1, 2)
-    assert text in done.stderr
-    assert len(done.stderr.splitlines()) == 1
-
-
 @pytest.mark.slow
 def test_modbus_gateway__port_in_use_is_named(shared_node: NodeProgram, port: int) -> None:
     address = ["--address", f"127.0.0.1:{port}", "--connect", shared_node.endpoint, "--source", "another"]

@@ -478,34 +478,3 @@ def test_mqtt_gateway__tls_and_password(bus: Bus, tmp_path: Path) -> None:
     assert done.returncode != 0
     assert ("Not authorized" if BROKER == "mosquitto" else "no connection") in done.stderr
     assert len(done.stderr.splitlines()) == 1
-
-
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        (("--broker", "127.0.0.1:1", "--source", "other"), "no connection to the MQTT broker 127.0.0.1:1"),
-        (("--broker", "broker.example"), "--tls"),
-        (("--broker", "127.0.0.1:x"), "expected HOST:PORT"),
-        (("--topic", "a/+/b"), "without wildcards"),
-        (("--topic", "x" * 70_000), "at most 1000"),
-        (("--topic", "$SYS/office"), "begin with '$'"),
-        (("--source", ""), "is not valid in a topic"),
-        (("--source", "x" * 129), "is not valid in a topic"),
-        (("--ca", "nothing.pem"), "--ca needs --tls"),
-        (("--tls", "--ca", "nothing.pem"), "no such file"),
-        (("--tls", "--broker-key", "/dev/null"), "no such file"),
-        (("--tls", "--broker-key", __file__), "--broker-key needs --broker-certificate"),
-        (("--password-file", "/dev/null"), "--password-file /dev/null needs --username"),
-        (("--username", "u", "--password-file", "/dev/null"), "--password-file /dev/null: the file is empty"),
-        (("--tls", "--ca", __file__), f"{__file__} is no CA certificate (PEM)"),
-        (("--tls", "--broker-certificate", __file__), f"{__file__}: no certificate and its key"),
-        (("--mqtt-version", "4"), "expected 5 or 3.1.1"),
-    ],
-)
-def test_mqtt_gateway__bad_settings_have_one_error(
-    shared_node: NodeProgram, options: tuple[str, ...], text: str
-) -> None:
-    done = run_in_process("gateway", "mqtt", "office", "--connect", shared_node.endpoint, *options)
-    assert done.returncode != 0
-    assert text in done.stderr
-    assert len(done.stderr.splitlines()) == 1
