@@ -5,7 +5,6 @@ import math
 import socket
 import struct
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,7 +13,7 @@ from bacpypes3.basetypes import BinaryPV, PriorityValue, PropertyValue, WriteAcc
 from bacpypes3.constructeddata import Any as AnyValue
 from bacpypes3.primitivedata import CharacterString, Real, Unsigned
 from support.bacnet import ADVANCE, DEVICE, INSTANCE, PAUSED, STEP, TIME, free_udp_port, served, single
-from support.nodes import SMALL, NodeProgram, until
+from support.nodes import until
 
 from zenostat import Bus
 from zenostat.bridge.transport.session import open_session
@@ -363,45 +362,6 @@ async def test_bacnet_gateway__steps_left_are_those_of_the_node_whoever_requests
             assert await reader.write(PAUSED, BinaryPV("active")) == "ok"
             assert await reader.write(ADVANCE, 2.0) == "ok"
             assert await reader.read(ADVANCE) == 2.0
-
-
-@pytest.mark.slow
-async def test_bacnet_gateway__node_that_is_gone_is_a_fault_and_one_that_returns_is_served_again(
-    tmp_path: Path,
-) -> None:
-    settings = {**SMALL, "listen": [], "name": "office"}
-    endpoint = f"unixsock-stream/{tmp_path}/router"
-    nodes: list[NodeProgram] = []
-
-    with open_session(listen=[endpoint], mode="router"):  # type: ignore[arg-type]
-        try:
-            nodes.append(NodeProgram(tmp_path / "first", connect=[endpoint], **settings))
-            async with served(endpoint) as (gateway, reader, _):
-                node = gateway._node
-                before, temperature = dict(reader.objects), await reader.read(INPUT)
-                nodes[0].kill()
-                async with asyncio.timeout(60):
-                    while node.is_online:
-                        await asyncio.sleep(0.01)
-                assert await reader.read(INPUT, "reliability") == "communication-failure"
-                assert [int(flag) for flag in await reader.read(INPUT, "status-flags")] == [0, 1, 0, 0]
-                assert await reader.read(INPUT) == temperature
-                assert await reader.read(DEVICE, "system-status") == "non-operational"
-                assert await reader.write(COOLING, 26.0) == "device operational-problem"
-                assert await reader.read(COOLING, "reliability") == "communication-failure"
-                nodes.append(await asyncio.to_thread(NodeProgram, tmp_path / "second", connect=[endpoint], **settings))
-                async with asyncio.timeout(60):
-                    while not node.is_online:
-                        await asyncio.sleep(0.01)
-                assert await reader.write(COOLING, 26.0) == "ok"
-                assert await reader.read(COOLING) == 26.0
-                assert await reader.read(INPUT, "reliability") == "no-fault-detected"
-                assert [int(flag) for flag in await reader.read(INPUT, "status-flags")] == [0, 0, 0, 0]
-                await reader.learn()
-                assert reader.objects == before
-        finally:
-            for program in nodes:
-                program.close()
 
 
 async def test_bacnet_gateway__address_in_use_or_of_no_interface_is_refused_before_anything_starts(

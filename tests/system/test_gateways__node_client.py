@@ -4,17 +4,15 @@ import asyncio
 import re
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from pathlib import Path
 from typing import Any
 
 import pytest
-from support.nodes import SMALL, NodeProgram
 
 from zenostat import Bus
 from zenostat.bridge.transport.session import open_session
 from zenostat.gateways import node_client
 from zenostat.gateways.node_client import NodeClient
-from zenostat.topics.errors import InvalidAction, InvalidConfig, NodeLost, NodeNotFound, RequestRejected, UnknownName
+from zenostat.topics.errors import InvalidAction, InvalidConfig, RequestRejected, UnknownName
 from zenostat.topics.messages import Event, EventKind
 
 COOLING = "core_zn_cooling_setpoint"
@@ -104,39 +102,3 @@ async def test_gateways__too_many_requests_at_once_are_rejected_and_the_others_a
     assert len(rejected) == 20
     assert all("10 requests" in str(reply) for reply in rejected)
     assert len([reply for reply in replies if not isinstance(reply, Exception)]) == 10
-
-
-@pytest.mark.slow
-async def test_gateways__node_that_is_killed_ends_all_waits_and_one_that_returns_is_used_again(tmp_path: Path) -> None:
-    settings = {**SMALL, "listen": [], "name": "office"}
-
-    nodes: list[NodeProgram] = []
-    with open_session(listen=[f"unixsock-stream/{tmp_path}/router"], mode="router"):  # type: ignore[arg-type]
-        endpoint = f"unixsock-stream/{tmp_path}/router"
-        try:
-            nodes.append(NodeProgram(tmp_path / "first", connect=[endpoint], **settings))
-            presence: list[bool] = []
-            async with _client(endpoint) as node:
-                node.listeners.presence.append(presence.append)
-                first = node.manifest.instance
-                waiting = asyncio.create_task(node.wait_for(lambda: False, timeout_s=60.0, what="never"))
-                await asyncio.sleep(0)
-                nodes[0].kill()
-                with pytest.raises(NodeLost):
-                    await waiting
-                assert not node.is_online
-                with pytest.raises(NodeLost):
-                    await node.write(COOLING, 26.0)
-                nodes.append(await asyncio.to_thread(NodeProgram, tmp_path / "second", connect=[endpoint], **settings))
-                async with asyncio.timeout(60):
-                    while not node.is_online:
-                        await asyncio.sleep(0.01)
-                assert node.manifest.instance != first
-                assert presence == [False, True]
-                await node.write(COOLING, 26.0)
-            with pytest.raises(NodeNotFound, match="nobody"), open_session(connect=[endpoint]) as session:
-                async with NodeClient(session, "nobody"):
-                    pass
-        finally:
-            for program in nodes:
-                program.close()

@@ -17,11 +17,11 @@ import pytest
 from pymodbus.client import ModbusTcpClient
 from support.csv_files import csv_rows
 from support.gateways import RunningGateway
-from support.nodes import SMALL, NodeProgram, begin_new_episode, until
+from support.nodes import NodeProgram, begin_new_episode, until
 from support.run_cli import run_in_process, run_program
 
 from zenostat import Bus
-from zenostat.bridge.transport.session import Mode, open_session
+from zenostat.bridge.transport.session import open_session
 from zenostat.gateways.modbus import server
 from zenostat.gateways.modbus.gateway import ModbusGateway
 from zenostat.gateways.node_client import NodeClient
@@ -389,27 +389,6 @@ def test_word_order__low_word_first_if_configured(bus: Bus) -> None:
         index = [a.name for a in sample.manifest.actuators].index(COOLING)
         assert not client.write_registers(2 * index, _registers(25.5)[::-1], device_id=UNIT).isError()
         assert bus.priorities("office")[COOLING][4] == (25.5, "plc")
-
-
-@pytest.mark.slow
-def test_modbus_gateway__node_that_is_gone_is_a_gateway_exception_and_its_return_is_noticed(tmp_path: Path) -> None:
-    endpoint = f"unixsock-stream/{tmp_path}/router"
-    settings = {**SMALL, "listen": [], "name": "office", "connect": [endpoint]}
-    with open_session(listen=[endpoint], mode=Mode.ROUTER):
-        node = NodeProgram(tmp_path / "first", **settings)
-        try:
-            with gateway(endpoint) as port, ModbusTcpClient("127.0.0.1", port=port, timeout=40) as client:
-                node.kill()
-                node.close()
-                until(lambda: client.read_input_registers(0, count=1, device_id=UNIT).isError(), "the loss is noticed")
-                assert client.read_input_registers(0, count=1, device_id=UNIT).exception_code == 11
-                assert client.write_registers(0, _registers(21.0), device_id=UNIT).exception_code == 11
-                assert not any(client.read_discrete_inputs(0, count=3, device_id=UNIT).bits[:3])
-                node = NodeProgram(tmp_path / "second", **settings)
-                until(lambda: client.read_discrete_inputs(0, count=1, device_id=UNIT).bits[0], "the node is back")
-                assert not client.write_registers(0, _registers(21.0), device_id=UNIT).isError()
-        finally:
-            node.close()
 
 
 @pytest.mark.slow
