@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 import rerun as rr
 import zenoh
@@ -203,6 +204,28 @@ def test_monitor__monitor_may_come_before_its_node(scratch):
         monitor.kill()
         monitor.wait()
     assert "0 missed" in output
+
+
+@pytest.mark.slow
+def test_monitor__file_that_cannot_be_written_further_ends_it_with_the_reason(scratch, episode_bus):
+    command = [
+        sys.executable, "-P", "-m", "zenostat.cli.main", "monitor", "--save", "run.rrd", "--once", "--connect",
+        episode_bus.endpoint,
+    ]  # fmt: skip
+    monitor = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=scratch)
+    try:
+        assert "connected" in monitor.stdout.readline()
+        psutil.Process(monitor.pid).rlimit(psutil.RLIMIT_FSIZE, (1000, 1000))  # like a full disk
+        assert len(_run(episode_bus.endpoint, reset=True)) == 97
+        monitor.send_signal(signal.SIGINT)
+        output, _ = monitor.communicate(timeout=60)
+    finally:
+        monitor.kill()
+        monitor.wait()
+    assert monitor.returncode == 1
+    assert "error: cannot write the recording: " in output
+    assert "its disk may be full" in output
+    assert "Traceback" not in output
 
 
 @pytest.mark.slow

@@ -10,10 +10,11 @@ from zenostat.bridge.recording.reader import RecordingReader
 from zenostat.metrics.comfort import default_comfort
 from zenostat.topics import codec
 from zenostat.topics.atomic_file import atomic_file
-from zenostat.topics.errors import BadMessage, InvalidRecording, ViewerError
+from zenostat.topics.errors import BadMessage, InvalidRecording
 from zenostat.topics.messages import Event, Manifest, Sample
 from zenostat.views.live.layout import blueprint
 from zenostat.views.live.node_stream import NodeStream
+from zenostat.views.live.recording import write_out
 from zenostat.views.live.samples import ComfortFactory, RewardFactory
 from zenostat.views.live.stream import ROWS
 
@@ -44,19 +45,12 @@ def write_rrd(
         stream.set_sinks(rr.FileSink(str(temporary)))
         try:
             count = _log(reader, stream, comfort, reward)
-            _flush(stream, path)
+            write_out(stream, str(path))
         finally:
             stream.disconnect()
         if not count:
             raise InvalidRecording(f"{reader.path} has no samples")
     return count
-
-
-def _flush(stream: rr.RecordingStream, path: Path) -> None:
-    try:
-        stream.flush()
-    except RuntimeError as error:  # the thread that writes has ended; Rerun does not say why
-        raise ViewerError(f"cannot write {path}: {error}; its disk may be full") from None
 
 
 def _log(

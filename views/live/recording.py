@@ -8,6 +8,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from zenostat.topics.errors import ViewerError
 from zenostat.views.live.samples import SampleBlock
 
 SIMULATED = "simulated"
@@ -24,6 +25,18 @@ def entity_path(*parts: str) -> str:
 def episode_path(node: str, episode: int, run: int = 1) -> str:
     """Return the path of an episode's entity; later runs of a node of that name count their episodes anew."""
     return entity_path(node, f"episode_{episode:04}" if run == 1 else f"run_{run}_episode_{episode:04}")
+
+
+def write_out(recording: rr.RecordingStream, name: str) -> None:
+    """Wait until all that was logged is written.
+
+    Raises:
+        ViewerError: the recording of this name cannot be written.
+    """
+    try:
+        recording.flush()
+    except RuntimeError as error:  # the thread that writes has ended; Rerun does not say why
+        raise ViewerError(f"cannot write {name}: {error}; its disk may be full") from None
 
 
 class EpisodeLog:

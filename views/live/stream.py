@@ -39,7 +39,7 @@ from zenostat.topics.messages import (
 from zenostat.views.live.history import read_history
 from zenostat.views.live.layout import OVERVIEW, blueprint
 from zenostat.views.live.node_stream import PRESENT, NodeStream
-from zenostat.views.live.recording import entity_path
+from zenostat.views.live.recording import entity_path, write_out
 from zenostat.views.live.samples import ComfortFactory, Floats, RewardFactory
 from zenostat.views.live.summary import NodeRow, NodeStatus, overview
 
@@ -60,6 +60,7 @@ FILE_DRAW_PERIOD_S = 60.0
 _OVERVIEW_PERIOD_S = 0.5
 _VERSION_CHUNK = 1
 _QUERY_S = 2.0
+_RECORDING = "the recording"
 
 M = TypeVar("M", bound=Message)
 
@@ -80,6 +81,9 @@ class RerunStream:
         comfort: returns the comfort bands of a node's zones; by default `DEFAULT_BAND_DEGC` for all.
         reward: returns the reward terms of an episode of a node; by default there is no reward.
         notify: called with sentences for the user: a node of another version, an unreadable message.
+
+    Raises:
+        ViewerError: while messages are logged or at the end: a file cannot be written.
 
     Attributes:
         samples: number of logged samples.
@@ -117,7 +121,7 @@ class RerunStream:
         self.recording = rr.RecordingStream("zenostat")
         self.recording.set_sinks(*sinks)
         self._close.callback(self.recording.disconnect)
-        self._close.callback(self.recording.flush)
+        self._close.callback(write_out, self.recording, _RECORDING)
         declare = self._close.enter_context
         self._inbox = declare(session.declare_subscriber(keys.BATCH.at(node), RingChannel(RING)))
         tokens = keys.NODE_TOKEN.at(node, name="*").replace(f"/v{SCHEMA_VERSION}/", "/*/")
@@ -167,9 +171,11 @@ class RerunStream:
         """Log the gathered samples, the overview and the layout where they are due."""
         now_s = time.monotonic()
         for node in self._nodes.values():
-            is_due = self._is_live or len(node.samples) >= ROWS or now_s - node.logged_s > MAX_WAIT_S
-            if is_due or is_last:
+            is_full = len(node.samples) >= ROWS or now_s - node.logged_s > MAX_WAIT_S
+            if self._is_live or is_full or is_last:
                 node.flush()
+            if is_full and not self._is_live:
+                write_out(self.recording, _RECORDING)
         if len(self._nodes) > 1 and (is_last or now_s - self._overview_s > _OVERVIEW_PERIOD_S):
             self._log_overview(now_s)
         if is_last or now_s - self._drawn_s > (DRAW_PERIOD_S if self._is_live else FILE_DRAW_PERIOD_S):
