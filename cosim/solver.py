@@ -34,8 +34,10 @@ _GROWTH = 10.0
 """Greatest step of a secant, relative to the previous one, while there is no bracket. A slope of an earlier problem is
 used between its negative and the reciprocal of that."""
 _DIVERGED = 2.0
-"""Ratio to the best error at which Anderson acceleration starts again from the best trial, with half the damping."""
+"""Ratio to the least error at which Anderson acceleration starts again from its trial, with half the damping."""
 _LEAST_DAMPING = 1.0 / 64.0
+_ROUNDING = 16.0
+"""Rounding error that a residual may have from the operations of its plants, in spacings of numbers at the unknown."""
 _DEPENDENT = 1e-10
 """Columns whose norm falls below this part of itself, when made orthogonal to the others, are left out."""
 
@@ -66,11 +68,13 @@ class Trial:
         x: the unknowns, shape (unknowns,).
         residual: G(x) - x, of the same shape.
         error: largest ratio of a residual to its tolerance; NaN or infinity where G has no value.
+        rounding: part of `error` that the rounding of numbers as large as the unknowns may hide.
     """
 
     x: Floats
     residual: Floats
     error: float
+    rounding: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +82,7 @@ class Solution:
     """The best trial of a solver.
 
     Attributes:
-        best: the trial with the smallest error.
+        best: the trial with the smallest error; of those that differ by no more than rounding, the first.
         trials: number of evaluations.
         outcome: why the solver ended.
         secants: of its trials, for the next problem; none unless it is solved.
@@ -115,11 +119,55 @@ class Problem:
     def evaluate(self, x: Floats) -> Trial:
         """Evaluate G once."""
         residual = self.function(x) - x
-        return Trial(x, residual, float(np.max(np.abs(residual) / self.tolerance)))
+        error = float(np.max(np.abs(residual) / self.tolerance))
+        return Trial(x, residual, error, _ROUNDING * float(np.max(np.spacing(np.abs(x)) / self.tolerance)))
 
     def clip(self, x: Floats) -> Floats:
         """Return the unknowns within their bounds."""
         return np.minimum(np.maximum(x, self.low), self.high)
+
+
+class _Search:
+    """The trials of a problem.
+
+    The best one is better than those before it by more than its rounding. Far from the start, numbers are so large that
+    a residual vanishes in their rounding: x + 0.3 equals x. So an error within the tolerance is a solution only if it
+    is less than the best one by more than rounding has grown.
+
+    Attributes:
+        count: number of trials.
+        latest: the latest trial.
+        least: the trial with the least error.
+        best: the best trial.
+    """
+
+    latest: Trial
+    least: Trial
+    best: Trial
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+        self.count = 0
+
+    def attempt(self, x: Floats) -> Outcome | None:
+        """Evaluate G; return why that ends the search, or None if it does not."""
+        trial = self.latest = self._problem.evaluate(x)
+        self.count += 1
+        if self.count == 1:
+            self.least = self.best = trial
+        if not isfinite(trial.error):
+            return Outcome.UNDEFINED
+        gain = self.best.error - trial.error
+        is_solved = trial.error <= 1.0 and (self.count == 1 or gain > trial.rounding - self.best.rounding)
+        if is_solved or gain > trial.rounding:
+            self.best = trial
+        if trial.error < self.least.error:
+            self.least = trial
+        return Outcome.SOLVED if is_solved else None
+
+    def end(self, outcome: Outcome, secants: Secants = ()) -> Solution:
+        """Return the best trial, with secants if it is solved."""
+        return Solution(self.best, self.count, outcome, secants if outcome is Outcome.SOLVED else ())
 
 
 def solve(problem: Problem, start: Floats, *, depth: int = 3, damping: float = 1.0, secants: Secants = ()) -> Solution:
@@ -207,29 +255,22 @@ def solve_in_bracket(problem: Problem, start: Floats, secants: Secants = ()) -> 
         secants: of the solution of a similar problem.
     """
     tolerance = float(problem.tolerance[0])
-    bracket = _Bracket(float(problem.low[0]), float(problem.high[0]))
+    search, bracket = _Search(problem), _Bracket(float(problem.low[0]), float(problem.high[0]))
     points: list[_End] = []
-    best: Trial | None = None
     x = float(problem.clip(start)[0])
-    for count in range(1, problem.limit + 1):
-        trial = problem.evaluate(np.array([x]))
-        if not isfinite(trial.error):
-            return Solution(best or trial, count, Outcome.UNDEFINED)
-        residual = float(trial.residual[0])
-        if best is None or trial.error < best.error:
-            best = trial
+    for _ in range(problem.limit):
+        outcome = search.attempt(np.array([x]))
+        residual = float(search.latest.residual[0])
         points.append(_End(x, copysign(1.0, residual), residual))
-        if trial.error <= 1.0:
-            return Solution(trial, count, Outcome.SOLVED, _latest_secant(points) or secants)
-        point = points[-1]
-        bracket.narrow(point, points[-2] if len(points) > 1 else None)
+        if outcome is not None:
+            return search.end(outcome, _latest_secant(points) or secants)
+        bracket.narrow(points[-1], points[-2] if len(points) > 1 else None)
         if bracket.is_evaluated and bracket.width <= _JUMP * tolerance:
-            return Solution(best, count, Outcome.JUMP)
+            return search.end(Outcome.JUMP)
         x = float(problem.clip(np.array([bracket.admit(_secant(bracket, points, secants))]))[0])
         if any(x == known.x for known in points):  # such as a bound outside of which the secant points
-            return Solution(best, count, Outcome.JUMP if bracket.is_evaluated else Outcome.LIMIT)
-    assert best is not None
-    return Solution(best, problem.limit, Outcome.LIMIT)
+            return search.end(Outcome.JUMP if bracket.is_evaluated else Outcome.LIMIT)
+    return search.end(Outcome.LIMIT)
 
 
 def _latest_secant(points: list[_End]) -> Secants:
@@ -292,33 +333,29 @@ def solve_by_acceleration(
         secants: of the solution of a similar problem.
     """
     history: deque[Trial] = deque(maxlen=depth + 1)
-    best: Trial | None = None
+    search = _Search(problem)
     x = problem.clip(start)
-    for count in range(1, problem.limit + 1):
-        trial = problem.evaluate(x)
-        if not isfinite(trial.error):
-            return Solution(best or trial, count, Outcome.UNDEFINED)
-        if trial.error <= 1.0:
-            return Solution(trial, count, Outcome.SOLVED, _joined(secants, [*history, trial], depth))
-        if best is None or trial.error < best.error:
-            best = trial
-        elif secants:
-            secants, trial = (), best
+    for _ in range(problem.limit):
+        outcome = search.attempt(x)
+        trial, least = search.latest, search.least
+        if outcome is not None:
+            return search.end(outcome, _joined(secants, [*history, trial], depth))
+        if secants and trial is not least:
+            secants, trial = (), least
             history.clear()
         is_combined = len(history) > min(depth, len(start))  # before that, a linear function may diverge as well
-        if is_combined and trial.error > _DIVERGED * best.error and damping > _LEAST_DAMPING:
+        if is_combined and trial.error > _DIVERGED * least.error and damping > _LEAST_DAMPING:
             damping *= 0.5
             history.clear()
-            trial = best
+            trial = least
         history.append(trial)
         x = problem.clip(_combine(trial, _joined(secants, history, depth), problem.tolerance, damping))
         if secants and np.array_equal(x, trial.x):
             secants = ()
             x = problem.clip(_combine(trial, _joined((), history, depth), problem.tolerance, damping))
         if np.array_equal(x, trial.x):  # the bounds stop it
-            return Solution(best, count, Outcome.LIMIT)
-    assert best is not None
-    return Solution(best, problem.limit, Outcome.LIMIT)
+            return search.end(Outcome.LIMIT)
+    return search.end(Outcome.LIMIT)
 
 
 def _joined(secants: Secants, history: Iterable[Trial], depth: int) -> Secants:

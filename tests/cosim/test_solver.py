@@ -100,6 +100,27 @@ def test_bracket__limit_of_trials_keeps_the_best() -> None:
     assert abs(solution.best.residual[0]) == min(errors)
 
 
+@pytest.mark.parametrize("unknowns", [1, 2, 3])
+@pytest.mark.parametrize("start", [0.0, 21.5, -4e5])
+@pytest.mark.parametrize("scale", [1.0, 3.7])
+def test_solve__function_without_a_fixed_point_keeps_its_start(unknowns: int, start: float, scale: float) -> None:
+    """x + c has the residual c everywhere; where x is so large that x + c equals x, that is its rounding alone."""
+    offset = np.array([0.3, 0.7, -0.2])[:unknowns]
+    shifted = problem(lambda x: (x * scale + offset * scale) / scale, unknowns=unknowns, tolerance=1e-6, limit=40)
+    solution = solve(shifted, np.full(unknowns, start))
+    assert solution.outcome is Outcome.LIMIT
+    assert solution.best.x.tolist() == [start] * unknowns
+    assert solution.best.error == pytest.approx(np.abs(offset).max() / 1e-6, rel=1e-6)
+
+
+@pytest.mark.parametrize("unknowns", [1, 2])
+def test_solve__tolerance_below_the_rounding_of_a_solution_is_met_by_its_residual_of_zero(unknowns: int) -> None:
+    """Halves and eighths are exact: 0.5 x + 2^29 has the fixed point 2^30, where numbers are 2^-22 apart."""
+    halved = problem(lambda x: 0.5 * x + 2.0**29, unknowns=unknowns, tolerance=1e-9)
+    solution = solve(halved, np.full(unknowns, 8.0))
+    assert (solution.is_solved, solution.best.x.tolist()) == (True, [2.0**30] * unknowns)
+
+
 @pytest.mark.parametrize("unknowns", [2, 3, 5])
 @pytest.mark.parametrize("scale", [0.3, 3.0])
 def test_acceleration__linear_function_of_n_unknowns_takes_n_plus_two_trials(unknowns: int, scale: float) -> None:
