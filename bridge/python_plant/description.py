@@ -19,10 +19,12 @@ from typing import Any, TypeGuard
 from pydantic import ValidationError
 
 from zenostat.bridge.runtime.source_loader import load_file, make_importable
+from zenostat.bridge.runtime.user_code import describe_user_error
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig, ZenostatError, did_you_mean
 from zenostat.topics.keys import check_name
 from zenostat.topics.messages import Aggregation, ElectricGrid, TimeField
+from zenostat.topics.user_file import check_user_file
 
 BEGIN = datetime(2001, 1, 1)
 """Default time of sample 0: a Monday, in a year without a leap day."""
@@ -96,7 +98,10 @@ def load_class(plant: str, *, own_class: bool = False) -> type[Any]:
         Exception: whatever the user's module raises when it is imported.
     """
     place, name = split_name(plant)
-    module = _load_file(Path(place)) if place.endswith(".py") else _load_module(place)
+    try:
+        module = _load_file(Path(place)) if place.endswith(".py") else _load_module(place)
+    except SyntaxError as error:
+        raise InvalidConfig(f"loading {place} failed: {describe_user_error(error)}") from None
     plant_class = getattr(module, name, None)
     if not isinstance(plant_class, type):
         classes = [n for n, o in vars(module).items() if isinstance(o, type) and o.__module__ == module.__name__]
@@ -110,8 +115,7 @@ def load_class(plant: str, *, own_class: bool = False) -> type[Any]:
 
 
 def _load_file(path: Path) -> Any:
-    if not path.is_file():
-        raise InvalidConfig(f"plant: no file {path}")
+    check_user_file(path, expected="a Python file")
     make_importable(path.parent.absolute())
     return load_file(_module_name(path.stem), path)
 
