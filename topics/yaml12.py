@@ -141,7 +141,7 @@ class _Limits:
             self._sizes[anchor] = self._nodes - before
 
 
-_KINDS = {list: "a list", dict: "a name that is not a text"}
+_KINDS: dict[type, str] = {list: "a list", dict: "a name that is not a text"}
 """What a file has instead of a mapping with names as keys."""
 
 
