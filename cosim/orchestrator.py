@@ -401,6 +401,10 @@ class Orchestrator:
             return
         state.unsolved += 1
         residual = f"; its residual is {error:.3g} times the tolerance" if isfinite(error) else ""
+        if solution.bracket is not None:
+            low, high = solution.bracket
+            unit = self._transfers[block.solved[0]].unit
+            residual += f", and it changes its sign between {low:.9g} and {high:.9g} {unit}"
         reason = "a plant did not step as in its trial" if solution.is_solved else _REASONS[solution.outcome]
         self._warnings.append(
             f"loop {block.name!r} is not solved in step {self._step} after {solution.trials} trials, since "

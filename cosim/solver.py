@@ -86,12 +86,15 @@ class Solution:
         trials: number of evaluations.
         outcome: why the solver ended.
         secants: of its trials, for the next problem; none unless it is solved.
+        bracket: unknowns between which the residual changes its sign, the lower one first; None if there are none, or
+            it is solved.
     """
 
     best: Trial
     trials: int
     outcome: Outcome
     secants: Secants = ()
+    bracket: tuple[float, float] | None = None
 
     @property
     def is_solved(self) -> bool:
@@ -165,9 +168,9 @@ class _Search:
             self.least = trial
         return Outcome.SOLVED if is_solved else None
 
-    def end(self, outcome: Outcome, secants: Secants = ()) -> Solution:
+    def end(self, outcome: Outcome, secants: Secants = (), bracket: tuple[float, float] | None = None) -> Solution:
         """Return the best trial, with secants if it is solved."""
-        return Solution(self.best, self.count, outcome, secants if outcome is Outcome.SOLVED else ())
+        return Solution(self.best, self.count, outcome, secants if outcome is Outcome.SOLVED else (), bracket)
 
 
 def solve(problem: Problem, start: Floats, *, depth: int = 3, damping: float = 1.0, secants: Secants = ()) -> Solution:
@@ -214,6 +217,14 @@ class _Bracket:
     @property
     def is_evaluated(self) -> bool:
         return self.ends is not None and all(end.residual is not None for end in self.ends)
+
+    @property
+    def bounds(self) -> tuple[float, float] | None:
+        """The ends, the lower one first, once both were evaluated."""
+        if self.ends is None or not self.is_evaluated:
+            return None
+        low, high = sorted(end.x for end in self.ends)
+        return low, high
 
     def narrow(self, point: _End, previous: _End | None) -> None:
         """Replace the end of the same sign by a point between the ends, or begin with it and the previous point."""
@@ -266,11 +277,11 @@ def solve_in_bracket(problem: Problem, start: Floats, secants: Secants = ()) -> 
             return search.end(outcome, _latest_secant(points) or secants)
         bracket.narrow(points[-1], points[-2] if len(points) > 1 else None)
         if bracket.is_evaluated and bracket.width <= _JUMP * tolerance:
-            return search.end(Outcome.JUMP)
+            return search.end(Outcome.JUMP, bracket=bracket.bounds)
         x = float(problem.clip(np.array([bracket.admit(_secant(bracket, points, secants))]))[0])
         if any(x == known.x for known in points):  # such as a bound outside of which the secant points
-            return search.end(Outcome.JUMP if bracket.is_evaluated else Outcome.LIMIT)
-    return search.end(Outcome.LIMIT)
+            return search.end(Outcome.JUMP if bracket.is_evaluated else Outcome.LIMIT, bracket=bracket.bounds)
+    return search.end(Outcome.LIMIT, bracket=bracket.bounds)
 
 
 def _latest_secant(points: list[_End]) -> Secants:

@@ -1,5 +1,6 @@
 """The orchestration of a step against hand calculations: order, delay, solved loops, balances."""
 
+import re
 import threading
 from pathlib import Path
 from typing import Any
@@ -219,6 +220,19 @@ def test_loop__jump_keeps_the_best_trial_and_is_reported(folder: Path) -> None:
     assert orchestrator.loops[0].error == pytest.approx(abs(orchestrator.residuals[0]) / 0.1)
     assert abs(orchestrator.residuals[0]) == pytest.approx(3.0, abs=0.05)  # below 3 the residual is 7
     assert orchestrator.drain_warnings() == []
+
+
+def test_loop__jump_that_the_limit_of_trials_hides_is_reported_with_its_place(folder: Path) -> None:
+    """Six trials leave the place of the jump, 3, between two values."""
+    text = "  - {from: a.x, to: a.u, solve: true, tolerance: 1.0e-6, low: 0, high: 10}\n"
+    plants = {"a": plant(switch)}
+    orchestrator, _, _ = orchestrated(file_of(folder, text, "a", "solver: {trials: 6}\n"), plants)
+    orchestrator.step(free(plants))
+    (report,) = orchestrator.drain_warnings()
+    assert "since the limit was reached" in report
+    bracket = re.search(r"and it changes its sign between (\S+) and (\S+) W$", report)
+    assert bracket is not None
+    assert float(bracket[1]) < 3.0 <= float(bracket[2])
 
 
 def test_loop__limit_of_trials_is_reported(folder: Path) -> None:

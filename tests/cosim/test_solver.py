@@ -86,6 +86,10 @@ def test_bracket__jump_has_no_solution(place: float, start: float) -> None:
     solution = solve(switch, np.array([start]))
     assert solution.outcome is Outcome.JUMP
     assert solution.best.error > 1.0
+    assert solution.bracket is not None
+    low, high = solution.bracket
+    assert low < place <= high
+    assert high - low <= 0.1 * tolerance
 
 
 def test_bracket__limit_of_trials_keeps_the_best() -> None:
