@@ -169,7 +169,8 @@ def serve(
 ) -> None:
     """Run a gateway of one node until Ctrl-C or SIGTERM; print a line that begins with `ready:`, and counts at the end.
 
-    In the end it relinquishes the commands that its clients have written through it.
+    In the end it relinquishes the commands that its clients have written through it, and those that an earlier process
+    of the same source has left.
 
     Args:
         node: name of the node.
@@ -271,7 +272,8 @@ async def _start(
     from zenostat.gateways.node_client import NodeClient
 
     client = await stack.enter_async_context(NodeClient(session, node, source=source, identity=identity, via=via))
-    await stack.enter_async_context(reserved_names(session, node, names, identity))
+    on_bus = {client.source: names[source]}  # below the certificate's name, if there is one
+    await stack.enter_async_context(reserved_names(session, node, {**names, **on_bus}, identity))
     stack.push_async_callback(_relinquish, client)
     return client, await stack.enter_async_context(gateway(client))
 

@@ -105,7 +105,7 @@ class NodeClient:
         self._index = PointIndex((), "sensor or meter")
         self._instance = ""
         self._pending: set[asyncio.Future[Any]] = set()
-        self._written = WrittenCommands()
+        self._written = WrittenCommands(self.source)
         self._tasks: set[asyncio.Task[None]] = set()
         self._changed = asyncio.Event()
         self._messages: deque[BusMessage] = deque(maxlen=_MAX_WAITING_MESSAGES)
@@ -173,7 +173,7 @@ class NodeClient:
         return ack
 
     async def relinquish_written(self) -> Relinquished:
-        """Relinquish the commands that were written through this client and are still in force.
+        """Relinquish the commands in force that this client wrote, or an earlier one under its source.
 
         Raises:
             RequestRejected: the node has no priority arrays, as in a replay, so no command is in force.

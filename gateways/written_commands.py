@@ -1,4 +1,4 @@
-"""Commands that a gateway has written for its clients, which it relinquishes when it ends."""
+"""Commands of a gateway, which it relinquishes when it ends."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import NamedTuple, Protocol, TypeVar
 from zenostat.bridge.client.priorities import PriorityValue, decode_priorities
 from zenostat.topics import keys
 from zenostat.topics.errors import RequestRejected, UsageError
+from zenostat.topics.keys import is_own
 from zenostat.topics.messages import Ack, Manifest, Message, PriorityArrays, Query, State, Status, Write
 from zenostat.topics.messages.base import ANONYMOUS
 
@@ -48,28 +49,35 @@ class Relinquished:
 
 
 class WrittenCommands:
-    """The sources of commands, by actuator and priority: the latest `MAX_SOURCES` of each.
+    """The commands of a gateway: those of its source and of sources below it, and those that it sent under other names.
 
-    A command that has been relinquished or replaced stays among them, since a return to a snapshot brings it back.
+    The former include what an earlier process of the gateway has left, since only one gateway of a node has a source.
+    Of the latter, the latest `MAX_SOURCES` sources of each actuator and priority are known. A command that has been
+    relinquished or replaced stays among them, since a return to a snapshot brings it back.
+
+    Args:
+        source: the gateway's name among the sources.
     """
 
-    def __init__(self) -> None:
-        self._sources: dict[tuple[str, int], dict[str, None]] = {}
-
-    def __bool__(self) -> bool:
-        return any(self._sources.values())
+    def __init__(self, source: str) -> None:
+        self._source = source
+        self._others: dict[tuple[str, int], dict[str, None]] = {}
 
     @contextmanager
     def sending(self, actuator: str, priority: int, source: str) -> Iterator[None]:
-        """Note a command that the context sends, unless the node rejects it."""
-        sources, own = self._sources.setdefault((actuator, priority), {}), source or ANONYMOUS
-        is_new = own not in sources
-        sources[own] = sources.pop(own, None)  # the latest is the last
+        """Note a command that the context sends under another name, unless the node rejects it."""
+        name = source or ANONYMOUS
+        if is_own(self._source, name):
+            yield
+            return
+        sources = self._others.setdefault((actuator, priority), {})
+        is_new = name not in sources
+        sources[name] = sources.pop(name, None)  # the latest is the last
         try:
             yield
         except (UsageError, RequestRejected):
             if is_new:
-                sources.pop(own, None)
+                sources.pop(name, None)
             raise
         if len(sources) > MAX_SOURCES:
             del sources[next(iter(sources))]
@@ -81,8 +89,6 @@ class WrittenCommands:
         there is nothing to relinquish: no command has an effect, and the next episode begins without commands.
         """
         done = Relinquished()
-        if not self:
-            return done
         arrays = await ask(keys.PRIORITIES, Query(), PriorityArrays)
         decoded = [decode_priorities(arrays, manifest, slot) for slot in range(manifest.slots)]
         for command in sorted({command for array in decoded for command in self.remaining(array)}):
@@ -98,9 +104,11 @@ class WrittenCommands:
         return done
 
     def remaining(self, arrays: Mapping[str, Sequence[PriorityValue]]) -> list[WrittenCommand]:
-        """Return the commands that are still in priority arrays, with the source by which they were written."""
+        """Return the commands that are in priority arrays, with the source by which they were written."""
         return [
-            WrittenCommand(actuator, priority, source)
-            for (actuator, priority), sources in self._sources.items()
-            if actuator in arrays and (source := arrays[actuator][priority - 1].source) in sources
+            WrittenCommand(actuator, priority, entry.source)
+            for actuator, entries in arrays.items()
+            for priority, entry in enumerate(entries, 1)
+            if entry.source
+            and (is_own(self._source, entry.source) or entry.source in self._others.get((actuator, priority), ()))
         ]

@@ -75,6 +75,48 @@ def test_modbus__relinquishes_what_it_commanded_although_a_client_is_connected(
 
 
 @pytest.mark.slow
+@needs_broker
+@pytest.mark.parametrize("protocol", ["modbus", "mqtt", "bacnet"])
+def test_gateways__one_that_is_started_again_after_a_kill_relinquishes_what_the_former_left(
+    room: NodeProgram, bus: Bus, tmp_path: Path, protocol: str
+) -> None:
+    port = free_udp_port()
+    with Broker(tmp_path) as broker:
+        options = {
+            "modbus": ["--address", "127.0.0.1:0"],
+            "mqtt": ["--broker", f"127.0.0.1:{broker.port}"],
+            "bacnet": ["--address", f"127.0.0.1:{port}"],
+        }[protocol]
+        words = (protocol, "room", "--connect", room.endpoint, *options)
+        with RunningGateway(*words) as gateway:
+            if protocol == "modbus":
+                with ModbusTcpClient("127.0.0.1", port=gateway.port, timeout=20) as client:
+                    registers = list(struct.unpack(">HH", struct.pack(">f", 500.0)))
+                    assert not client.write_registers(0, registers, device_id=1).isError()
+            elif protocol == "mqtt":
+                until(lambda: broker.retained("zenostat/room/status") == "online", "it is online")
+                broker.publish("zenostat/room/actuator/compressor/set", '{"value": 500, "source": ""}')
+                until(lambda: commands(bus) != OTHERS, "it is commanded")
+            else:
+                asyncio.run(_command_by_bacnet(port, 500.0, priority=8))
+            sources = [array[8][1].split(".")[0] for array in commands(bus)]
+            assert sources == [protocol] * 2
+            gateway.program.kill()
+            gateway.program.wait()
+        with RunningGateway(*words) as gateway:
+            code, out, _ = gateway.end()
+    assert code == 0
+    assert "relinquished 1 command of this gateway" in out
+    assert commands(bus) == OTHERS
+
+
+async def _command_by_bacnet(port: int, value: float, priority: int) -> None:
+    async with bacnet_client(port) as client:
+        await client.learn()
+        assert await client.write("compressor", value, priority=priority) == "ok"
+
+
+@pytest.mark.slow
 def test_modbus__coil_relinquishes_a_command_that_another_slot_alone_has(room: NodeProgram, bus: Bus) -> None:
     with (
         RunningGateway("modbus", "room", "--connect", room.endpoint, "--address", "127.0.0.1:0") as gateway,
