@@ -63,8 +63,13 @@ def solar_forecast(level: str, truth: Floats, seed: int | None) -> Floats:
         forecast = truth - errors
         if bool(((forecast >= low) & (forecast <= high))[is_day].all()):
             break
-    limited: Floats = np.clip(_moving_mean(forecast), low, high)
-    return limited
+    return limited(_moving_mean(forecast), truth)
+
+
+def limited(forecast: Floats, truth: Floats) -> Floats:
+    """Return a forecast of irradiation within 0.2 to 2 times the truth."""
+    values: Floats = np.clip(forecast, _SHARE[0] * truth, _SHARE[1] * truth)
+    return values
 
 
 def _moving_mean(values: Floats) -> Floats:

@@ -143,6 +143,36 @@ def test_boptest_forecasts__each_seed_is_repeatable_also_0(seed):
     assert forecast(0.0)["TDryBul"] != forecast(DAY_S)["TDryBul"]
 
 
+@pytest.mark.parametrize(("now_s", "horizon_s"), [(2700.0, 1800.0), (3000.0, 4500.0), (2700.0, 2.0 * DAY_S - 900.0)])
+def test_boptest_forecasts__error_of_the_last_full_hour_holds_after_it(now_s, horizon_s):
+    """Half an hour from 0:45 on ends at 1:15; BOPTEST draws errors for 0:00 and 1:00."""
+    points = {"TDryBul": "temperature_uncertainty", "HGloHor": "solar_uncertainty"}
+    levels = {**dict.fromkeys(points.values(), "low"), "seed": 3}
+    series = weather(
+        dry_bulb_temperature=[10.0, 12.0, 9.0, 17.0], global_horizontal_radiation=[600.0, 800.0, 700.0, 900.0]
+    )
+    forecaster = Forecaster(series, read_rates(), SimpleNamespace(points={}))
+    truth, forecast = (forecaster.forecast([*points], now_s, horizon_s, 300.0, s, None) for s in ({}, levels))
+    last_s = 3600.0 * (horizon_s // 3600 + 1)
+    place = forecast["time"].index(last_s)
+    assert place < len(forecast["time"]) - 1
+    for name in points:
+        errors = np.subtract(truth[name], forecast[name])
+        assert abs(errors[place]) > 0.05
+        assert errors[place:] == pytest.approx(errors[place])
+
+
+def test_boptest_forecasts__sunset_after_the_last_full_hour_is_dark():
+    series = weather(global_horizontal_radiation=[600.0, 300.0, 0.0, 0.0, 0.0, 0.0])
+    forecaster = Forecaster(series, read_rates(), SimpleNamespace(points={}))
+    scenario = {"solar_uncertainty": "high", "seed": 1}
+    truth, forecast = (
+        np.array(forecaster.forecast(["HGloHor"], 3540.0, 7140.0, 60.0, s, None)["HGloHor"]) for s in ({}, scenario)
+    )
+    assert (forecast >= 0.2 * truth - 1e-9).all()
+    assert (forecast <= 2.0 * truth + 1e-9).all()
+
+
 @pytest.mark.parametrize(
     ("horizon_s", "interval_s", "text"),
     [
