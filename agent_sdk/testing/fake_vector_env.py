@@ -46,3 +46,4 @@ class FakeVectorEnv(BuildingVectorEnv):
         arguments.check_arguments(building, FakeBuilding)
         link = FakeLink([FakeBuilding(zones, **building) for _ in range(num_envs)])
         super().__init__(num_envs, reward=reward, render_mode=render_mode, autoreset_mode=autoreset_mode, link=link)
+        self.metadata["render_modes"] = ["rgb_array"]

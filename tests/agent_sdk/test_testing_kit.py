@@ -5,6 +5,7 @@ import math
 import pickle
 import re
 from collections.abc import Callable
+from contextlib import closing
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -402,6 +403,10 @@ def test_testing_kit__context_weather_reward_and_limits_are_those_of_a_real_envi
 def test_testing_kit__fake_building_is_on_no_bus() -> None:
     with pytest.raises(InvalidConfig, match="render_mode 'rerun' shows a bus"):
         FakeEnv(1, render_mode="rerun")
+    with pytest.raises(InvalidConfig, match="render_mode 'rerun' shows a bus"):
+        FakeVectorEnv(1, render_mode="rerun")
+    with FakeEnv(1) as env, closing(FakeVectorEnv(1)) as envs:
+        assert env.metadata["render_modes"] == envs.metadata["render_modes"] == ["rgb_array"]
 
 
 def test_noise__is_reported_and_drawn_by_seed() -> None:
