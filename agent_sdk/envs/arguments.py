@@ -66,7 +66,7 @@ def check_agent_settings(reward: AnyReward | None, settings: Mapping[str, Any], 
     Raises:
         InvalidConfig: Invalid reward or wrappers, together with all other errors.
     """
-    fields = fields_of_file(settings.get("scenario") or settings.get("district", ""))
+    fields = _checkable_fields(settings.get("scenario") or settings.get("district", ""))
     if not is_of_scenario(reward):
         fields["reward"] = reward
     errors = ErrorCollector()
@@ -85,7 +85,13 @@ def check_agent_fields(scenario: str | Path) -> None:
     Raises:
         InvalidConfig: Lists the errors of both.
     """
-    _check_fields(fields_of_file(scenario))
+    _check_fields(_checkable_fields(scenario))
+
+
+def _checkable_fields(scenario: str | Path) -> dict[str, Any]:
+    """Return the fields of a scenario file without a reward that is no mapping, which the node reports."""
+    fields = fields_of_file(scenario)
+    return fields if isinstance(fields.get("reward"), Mapping) else {**fields, "reward": None}
 
 
 def _check_fields(fields: Mapping[str, Any]) -> None:

@@ -355,6 +355,15 @@ def test_env__good_reward_starts_nothing(tmp_path: Path) -> None:
         check_agent_settings(reward, {"scenario": str(file)}, Affinity.OFF)
 
 
+def test_for_node__reports_a_reward_of_a_wrong_form_once(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text("building: no-such-building\nweather: USA_CO_Denver\nreward: 7\nwrappers: [{wrapper: Frames}]\n")
+    with pytest.raises(InvalidConfig) as raised:
+        check_agent_settings(FROM_SCENARIO, for_node({"file": file}, "b"), Affinity.OFF)
+    assert "mine.yaml: reward: a mapping expected, got 7" in str(raised.value)
+    assert str(raised.value).count("reward: ") == 1
+
+
 def test_for_node__reports_a_bad_reward_with_all_other_errors(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text("building: no-such-building\nweather: USA_CO_Denver\nreward: {kind: linear, weight: 3}\n")
