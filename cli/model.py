@@ -106,7 +106,7 @@ def model(
     if as_json:
         show_json(_as_json(description))
     else:
-        _show(description)
+        _show(description, notes_only=bool(semantic))
     if _count_errors(description.file, description.diagnostics):
         raise typer.Exit(1)
     semantic.write(read, building)
@@ -303,7 +303,11 @@ def _tables(description: ModelDescription) -> Iterator[tuple[str, tuple[str, ...
     yield ("Schedules that nothing uses", ("schedule", "type"), [(each.name, each.kind) for each in unused])
 
 
-def _show(description: ModelDescription) -> None:
+def _show(description: ModelDescription, *, notes_only: bool) -> None:
+    if notes_only:
+        for note in _notes(description):
+            err.print(note)
+        return
     out.print(description.name, style="bold")
     for term, text in _facts(description):
         if text:

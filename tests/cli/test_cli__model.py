@@ -145,6 +145,8 @@ def test_model__brick_file_of_an_own_building_has_its_zones_and_points(tmp_path:
     file, tags = tmp_path / "mine.ttl", tmp_path / "mine.zinc"
     result = run_in_process("model", str(path), "--brick", str(file), "--haystack", str(tags), "--node", "office")
     assert result.returncode == 0, result.stderr
+    assert not result.stdout
+    assert f"semantic model: {file.name}" in plain(result.stderr).replace("\n", "").replace(f"{tmp_path}/", "")
     text = file.read_text()
     assert 'rdfs:label "Core \\"1\\" <b>' in text
     key = '"zenostat/v3/office/actuator/*/perimeter_zn_1_cooling_setpoint"'
