@@ -103,10 +103,7 @@ def model(
     description = describe_model(read, file_version(entry.path))
     if html is not None:
         _write_page(description, html)
-    if as_json:
-        show_json(_as_json(description))
-    else:
-        _show(description, notes_only=bool(semantic))
+    _print(description, as_json=as_json, notes_only=bool(semantic))
     if _count_errors(description.file, description.diagnostics):
         raise typer.Exit(1)
     semantic.write(read, building)
@@ -303,11 +300,17 @@ def _tables(description: ModelDescription) -> Iterator[tuple[str, tuple[str, ...
     yield ("Schedules that nothing uses", ("schedule", "type"), [(each.name, each.kind) for each in unused])
 
 
-def _show(description: ModelDescription, *, notes_only: bool) -> None:
-    if notes_only:
+def _print(description: ModelDescription, *, as_json: bool, notes_only: bool) -> None:
+    if as_json:
+        show_json(_as_json(description))
+    elif notes_only:
         for note in _notes(description):
             err.print(note)
-        return
+    else:
+        _show(description)
+
+
+def _show(description: ModelDescription) -> None:
     out.print(description.name, style="bold")
     for term, text in _facts(description):
         if text:
