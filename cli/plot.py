@@ -72,10 +72,7 @@ def _print_json(history: History) -> None:
             "oldest_step": history.oldest_step,
             "step": history.step.tolist(),
             "time": [time.isoformat() for time in history.time.tolist()],
-            "points": {
-                name: {"unit": unit, "values": [None if math.isnan(value) else value for value in values]}
-                for name, unit, values in columns
-            },
+            "points": {name: {"unit": unit, "values": values} for name, unit, values in columns},
         }
     )
 

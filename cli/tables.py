@@ -16,6 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from zenostat.cli.console import out
+from zenostat.topics.json_numbers import finite
 from zenostat.topics.printable import replace_controls, replace_controls_in_lines
 
 _MAX_RENDERED_ROWS = 2000
@@ -32,8 +33,8 @@ _PARTS = re.compile(r"[^\s_./:-]*[_./:-]*\s*")
 
 
 def show_json(data: Sequence[Any] | dict[str, Any]) -> None:
-    """Print data as JSON."""
-    json.dump(data, sys.stdout, indent=1)
+    """Print data as JSON; what is not a finite number is null."""
+    json.dump(finite(data), sys.stdout, indent=1)
     sys.stdout.write("\n")
 
 

@@ -42,6 +42,7 @@ from zenostat.lab.calibration.trials import (
 from zenostat.lab.workers import RunAll, worker_pool
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.json_numbers import finite
 
 _GAIN = 0.001
 """Share by which a step has to lower the error, so that another one follows.
@@ -105,7 +106,7 @@ class CalibrationResult:
 
     def plain(self) -> dict[str, Any]:
         """Return the result as JSON; what is not a number is null."""
-        plain: dict[str, Any] = _finite(self._plain())
+        plain: dict[str, Any] = finite(self._plain())
         return plain
 
     def _plain(self) -> dict[str, Any]:
@@ -120,14 +121,6 @@ class CalibrationResult:
         """Write the result as JSON."""
         with atomic_file(path) as temporary:
             temporary.write_text(json.dumps(self.plain(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {name: _finite(part) for name, part in value.items()}
-    return [_finite(part) for part in value] if isinstance(value, list) else value
 
 
 def calibrate(

@@ -1,6 +1,8 @@
 """Tables at any width: every cell whole, no line too long."""
 
 import io
+import json
+import math
 import re
 
 import pytest
@@ -8,7 +10,7 @@ from rich.console import Console
 from support.run_cli import run_in_process, run_program
 
 from zenostat.cli.commands import GROUPS, command_name
-from zenostat.cli.tables import fitted
+from zenostat.cli.tables import fitted, show_json
 
 COLUMNS = ("kind", "name", "key", "unit", "low", "high")
 ROWS = [
@@ -35,6 +37,12 @@ def test_cli_tables__every_cell_is_whole(width: int, wrap: tuple[str, ...]) -> N
     else:
         whole = "".join(["[points]", *COLUMNS, *map("".join, ROWS)]).replace(" ", "")
         assert sorted(re.sub(r"[\s─]", "", text)) == sorted(whole)
+
+
+def test_cli_tables__json_has_null_in_place_of_numbers_that_are_not_finite(capsys: pytest.CaptureFixture[str]) -> None:
+    show_json({"rows": [{"value": math.inf}, (-math.inf, math.nan, 1.5, 2, None, "inf", True)]})
+    shown = json.loads(capsys.readouterr().out, parse_constant=lambda text: pytest.fail(f"{text} is no JSON"))
+    assert shown == {"rows": [{"value": None}, [None, None, 1.5, 2, None, "inf", True]]}
 
 
 def test_cli_tables__wide_terminal_has_a_line_a_row_and_a_narrow_one_paragraphs() -> None:
