@@ -15,7 +15,7 @@ from zenostat.models.scenario.episode_weather import EpisodeFactory, EpisodeFile
 from zenostat.topics.messages import Actuator
 
 # Without a 29 February, which weather files lack; 2100 is not a leap year.
-PERIOD = {"begin": "2096-07-01", "end": "2104-02-28"}
+PERIOD = {"begin": "2097-01-01", "end": "2104-02-28"}
 DENVER = {"weather": "USA_CO_Denver", "steps_per_hour": 4}
 SCENES: dict[str, dict[str, Any]] = {
     "five-zone": {"scenario": "zenostat/5zone-hot-continuous-v1"},
