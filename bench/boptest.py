@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import statistics
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -18,6 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.machine import OtherLoad
+from bench.programs import started
 from zenostat.bridge.runtime.processor_time import processor_s
 from zenostat.cli.boptest_cases import BundledTestCases
 from zenostat.gateways.boptest.prices import read_rates
@@ -28,7 +27,7 @@ CASE = "office-small"
 STEPS = 96
 _OWN = "the building's own step"
 _INPUTS = {"core_zn_cooling_setpoint_u": 297.15, "core_zn_cooling_setpoint_activate": 1}
-_GATEWAY = [sys.executable, "-P", "-m", "zenostat.cli.main", "gateway", "boptest", "--address", "127.0.0.1:0"]
+_GATEWAY = ("gateway", "boptest", "--address", "127.0.0.1:0")
 _BEGIN = {"start_time": 17280000, "warmup_period": 0}
 
 
@@ -38,10 +37,8 @@ def measure(*, quick: bool) -> dict[str, Any]:
     `client_ms` and `gateway_ms` are processor time of the client and of the gateway, without the building.
     """
     with ExitStack() as stack:
-        gateway = stack.enter_context(subprocess.Popen(_GATEWAY, stdout=subprocess.PIPE, text=True))
-        stack.callback(gateway.terminate)
-        assert gateway.stdout is not None
-        url = gateway.stdout.readline().split()[1].rstrip(";")
+        pid, ready = stack.enter_context(started(*_GATEWAY))
+        url = ready.split()[1].rstrip(";")
         own = BuildingTest(BundledTestCases().find(CASE), read_rates(), dict)
         stack.callback(own.close)
         session = stack.enter_context(requests.Session())
@@ -60,7 +57,7 @@ def measure(*, quick: bool) -> dict[str, Any]:
             "PUT /forecast": lambda: call("PUT", "forecast", forecast),
             "GET /name": lambda: call("GET", "name"),
         }
-        load, processes = OtherLoad(), (psutil.Process(), psutil.Process(gateway.pid))
+        load, processes = OtherLoad(), (psutil.Process(), psutil.Process(pid))
         rounds: dict[str, list[tuple[float, ...]]] = {kind: [] for kind in kinds}
         for _ in range(3 if quick else 9):
             for kind, work in kinds.items():

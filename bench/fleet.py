@@ -6,8 +6,6 @@ Processor time rather than wall time, so that the result depends little on what 
 from __future__ import annotations
 
 import argparse
-import subprocess
-import sys
 import tempfile
 import time
 from contextlib import ExitStack
@@ -16,26 +14,12 @@ from pathlib import Path
 import numpy as np
 import psutil
 
+from bench.programs import started
 from zenostat.agent_sdk.envs.fleet_env import FleetVectorEnv
 from zenostat.bridge.runtime.processor_time import processor_s
 from zenostat.topics import codec
 
 SCENARIO = {"building": "ref-small-office", "weather": "USA_CO_Denver", "begin": "07-01", "end": "07-31"}
-
-
-def program(stack: ExitStack, *arguments: str) -> subprocess.Popen[str]:
-    """Start a command of `zenostat` that ends with this program, once it has written its first line."""
-    process = subprocess.Popen(
-        [sys.executable, "-P", "-m", "zenostat.cli.main", *arguments],
-        stdout=subprocess.PIPE,
-        text=True,
-        process_group=0,
-    )
-    stack.callback(process.wait)
-    stack.callback(process.terminate)
-    assert process.stdout is not None
-    process.stdout.readline()
-    return process
 
 
 def measure(endpoints: list[str], names: list[str], router: psutil.Process | None, steps: int) -> dict[str, float]:
@@ -81,11 +65,11 @@ def main() -> None:
         with ExitStack() as stack:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(dir="/tmp")))
             at = f"unixsock-stream/{folder}/router"
-            router = psutil.Process(program(stack, "router", "--listen", at).pid) if with_router else None
+            router = psutil.Process(stack.enter_context(started("router", "--listen", at))[0]) if with_router else None
             places = [at if with_router else f"unixsock-stream/{folder}/{name}" for name in names]
             for name, place in zip(names, places, strict=True):
                 where = ["--no-listen", "--connect", place] if with_router else ["--listen", place]
-                program(stack, "node", "--name", name, *where, *settings)
+                stack.enter_context(started("node", "--name", name, *where, *settings))
             row = measure(places, names, router, arguments.steps)
         print("behind a router" if with_router else "direct", {name: round(value, 1) for name, value in row.items()})
 

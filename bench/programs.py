@@ -1,4 +1,4 @@
-"""Modules of the benchmarks as programs of their own."""
+"""Modules of the benchmarks, and commands of `zenostat`, as programs of their own."""
 
 from __future__ import annotations
 
@@ -7,8 +7,12 @@ import os
 import socket
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+from zenostat.bridge.runtime.processes import ZENOSTAT
 
 
 def command(module: str, *arguments: str) -> list[str]:
@@ -19,6 +23,23 @@ def command(module: str, *arguments: str) -> list[str]:
 def environment() -> dict[str, str]:
     """Return the variables with which a program finds the benchmarks."""
     return {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
+
+
+@contextmanager
+def started(*arguments: str, **options: Any) -> Iterator[tuple[int, str]]:
+    """Run a command of `zenostat`, which is ended in the end; yield its process id and its first line of output.
+
+    Args:
+        arguments: of the command.
+        options: of `subprocess.Popen`.
+    """
+    command = [*ZENOSTAT, *arguments]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, process_group=0, **options) as program:
+        assert program.stdout is not None
+        try:
+            yield program.pid, program.stdout.readline()
+        finally:
+            program.terminate()
 
 
 def free_port() -> int:

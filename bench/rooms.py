@@ -12,8 +12,6 @@ import argparse
 import importlib.util
 import shutil
 import statistics
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -27,6 +25,7 @@ from rich.table import Table
 
 import zenostat
 from bench import pace, scenes
+from bench.programs import started
 from zenostat.bridge.client.local_node import LocalNode
 from zenostat.bridge.runtime.affinity import Affinity
 
@@ -37,7 +36,7 @@ STEPS = 400
 """Timesteps of a measurement, on a node of its own."""
 
 _ARGUMENTS = ("--no-sandbox", "--headless", "--disable-gpu", "--disable-background-networking", "--no-first-run")
-_ROOM = (sys.executable, "-P", "-m", "zenostat.cli.main", "room", "--address", "127.0.0.1:0", "--operator", "bench")
+_ROOM = ("room", "--address", "127.0.0.1:0", "--operator", "bench")
 _SAMPLE_S = 10.0
 _IDLE = f"{Path(__file__).with_name('idle_class.py')}:Idle"
 
@@ -68,15 +67,8 @@ def _paced(*bus: str) -> dict[str, Any]:
 @contextmanager
 def _room(endpoint: str) -> Iterator[tuple[psutil.Process, str]]:
     """Run the control room; yield its process and the link of the first browser."""
-    program = subprocess.Popen([*_ROOM, "--connect", endpoint], stdout=subprocess.PIPE, text=True)
-    assert program.stdout is not None
-    try:
-        link = program.stdout.readline().removeprefix("ready: ").strip()
-        yield psutil.Process(program.pid), link
-    finally:
-        program.terminate()
-        program.wait()
-        program.stdout.close()
+    with started(*_ROOM, "--connect", endpoint) as (pid, line):
+        yield psutil.Process(pid), line.removeprefix("ready: ").strip()
 
 
 @contextmanager

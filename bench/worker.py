@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import queue
+import subprocess
 import sys
 import tempfile
 import threading
@@ -18,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from bench import plant_workers, scenes
-from bench.listeners import listening
 from bench.pace import EndOfBursts, Pace
+from bench.programs import started
 
 WARM_UP = 1000
 """Steps before the first burst."""
@@ -179,7 +180,10 @@ def environment(
     with ExitStack() as stack:
         env: Any = gym.make(identity, **node_settings, **arguments)
         stack.callback(env.close)
-        stack.enter_context(listening(env.unwrapped.local_node.endpoint, monitors))
+        folder, endpoint = stack.enter_context(tempfile.TemporaryDirectory()), env.unwrapped.local_node.endpoint
+        for number in range(monitors):
+            monitor = ("monitor", "--connect", endpoint, "--save", f"{folder}/{number}.rrd")
+            stack.enter_context(started(*monitor, stderr=subprocess.DEVNULL))
         env.reset(seed=0)
         action = scenes.setpoints(env.unwrapped.manifest.actuators)[: env.action_space.shape[0]].astype(np.float32)
         status = env.unwrapped.link.bus.status(env.unwrapped.manifest.node)

@@ -3,7 +3,6 @@
 import json
 import re
 import subprocess
-import sys
 from contextlib import closing
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 import pytest
 from support import data_packs as packs
 from support.nodes import SMALL, command_of, interrupted, nothing_left, programs_of
-from support.run_cli import error_of
+from support.run_cli import ZENOSTAT, error_of
 
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.lab.probe import ProbeReport, ProbeRequest, probe
@@ -21,7 +20,6 @@ from zenostat.lab.probe_effects import HoldExperiment, Ranges, effect_of
 from zenostat.topics.errors import InvalidConfig, UnknownName
 from zenostat.topics.messages import Actuator, Aggregation, Manifest, Meter, Mode, Policy, Sensor, Versions
 
-ZENOSTAT = [sys.executable, "-P", "-m", "zenostat.cli.main", "probe"]
 BEGIN = datetime(2017, 7, 3, 7)
 
 OFFICE: dict[str, Any] = {
@@ -275,7 +273,7 @@ def test_probe__warning_of_the_node_is_with_its_actuator() -> None:
 
 
 def _probe(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*ZENOSTAT, *arguments], capture_output=True, text=True, cwd=cwd, timeout=90)
+    return subprocess.run([*ZENOSTAT, "probe", *arguments], capture_output=True, text=True, cwd=cwd, timeout=90)
 
 
 SCENARIO = "ref-small-office-USA_CO_Denver-continuous-v1"
@@ -315,7 +313,7 @@ def test_probe__mistakes_in_the_call_are_sentences(scratch: Path, arguments: lis
 @pytest.mark.slow
 def test_probe__ctrl_c_leaves_nothing_behind(scratch: Path) -> None:
     """In the midst of the branches: a year's probe with more engines than the trunk's."""
-    command = [*ZENOSTAT, SCENARIO, "--set", "control=zone", "--begin", "07-03", "--hours", "24", "--json"]
+    command = [*ZENOSTAT, "probe", SCENARIO, "--set", "control=zone", "--begin", "07-03", "--hours", "24", "--json"]
 
     def branches() -> bool:
         return len([p for p in programs_of(scratch) if "zenostat.eplus_node.engine" in command_of(p)]) > 2

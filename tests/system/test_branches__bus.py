@@ -2,12 +2,12 @@
 
 import os
 import subprocess
-import sys
 from pathlib import Path
 
 import psutil
 import pytest
 from support.nodes import SMALL, NodeProgram, Program, node_on_bus, until
+from support.run_cli import ZENOSTAT
 
 import zenostat
 from zenostat.bridge.client.bus import Bus
@@ -84,7 +84,7 @@ def test_branches__status_command_shows_forks_with_their_memory(bus: Bus) -> Non
         link.reset()
         branch, snapshot = bus.branch("office", CreateBranch(controller=link.name)), bus.snapshot("office", link.name)
         output = subprocess.run(
-            [sys.executable, "-P", "-m", "zenostat.cli.main", "status", "--connect", bus.endpoint],
+            [*ZENOSTAT, "status", "--connect", bus.endpoint],
             capture_output=True, text=True, check=True, env=os.environ | {"COLUMNS": "200"},
         ).stdout  # fmt: skip
     for words in (f"branch {branch}", f"snapshot {snapshot.snapshot}", link.name, "MB"):

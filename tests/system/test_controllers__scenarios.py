@@ -1,7 +1,6 @@
 """The controllers on real scenarios: what they set, what comes of it, and `zenostat run`."""
 
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import pytest
 from support import data_packs as packs
 from support.builders import manifest
 from support.nodes import SMALL, NodeProgram, node_on_bus
-from support.run_cli import error_of
+from support.run_cli import ZENOSTAT, error_of
 
 import zenostat
 from zenostat.agent_sdk.controllers import (
@@ -141,7 +140,7 @@ def test_controllers__rules_are_more_comfortable_than_chance(name: str) -> None:
 
 
 def run(node: NodeProgram, *arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-P", "-m", "zenostat.cli.main", "run", "--node", node.name, "--connect", node.endpoint]
+    command = [*ZENOSTAT, "run", "--node", node.name, "--connect", node.endpoint]
     return subprocess.run([*command, *arguments], capture_output=True, text=True, cwd=cwd, timeout=120)
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 from support.nodes import SMALL
+from support.run_cli import ZENOSTAT
 
 CONTROLLER = """
 import hashlib, json, sys, threading
@@ -102,7 +103,7 @@ def trajectory(hosts: Hosts, folder: Path) -> tuple[int, str]:
     folder.mkdir()
     (folder / "run.py").write_text(CONTROLLER)
     endpoint = f"tcp/{NODE_ADDRESS}:7447"
-    command = [sys.executable, "-P", "-m", "zenostat.cli.main", "node", "--building", SMALL["building"]]
+    command = [*ZENOSTAT, "node", "--building", SMALL["building"]]
     command += ["--weather", SMALL["weather"], "--begin", "07-03", "--end", "07-03", "--name", "office"]
     command += ["--listen", endpoint, "--expose"]
     with (folder / "node.log").open("w") as log:

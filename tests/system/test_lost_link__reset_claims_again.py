@@ -3,7 +3,6 @@
 import os
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +13,7 @@ import psutil
 import pytest
 from support.links import CuttableLink
 from support.nodes import SMALL, NodeProgram, begin_new_episode, free_port, until
+from support.run_cli import ZENOSTAT
 
 import zenostat
 from zenostat.topics.errors import BusError, EpisodeChanged, NodeLost, NodeNotFound, PeerError, RequestRejected
@@ -154,7 +154,7 @@ def answer_for_ever(controller: zenostat.ControllerLink) -> None:
 
 @contextmanager
 def router(endpoint: str) -> Iterator[None]:
-    program = [sys.executable, "-P", "-m", "zenostat.cli.main", "router", "--listen", endpoint]
+    program = [*ZENOSTAT, "router", "--listen", endpoint]
     with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None

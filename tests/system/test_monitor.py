@@ -2,7 +2,6 @@
 
 import signal
 import subprocess
-import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -15,6 +14,7 @@ import rerun as rr
 import zenoh
 from rerun.chunk import RrdReader
 from support.nodes import SMALL, NodeProgram, free_port, until
+from support.run_cli import ZENOSTAT
 from zenoh.handlers import RingChannel
 
 import zenostat
@@ -141,7 +141,7 @@ def test_monitor__late_monitor_has_the_episode_from_its_beginning(scratch, episo
 @pytest.mark.parametrize("fate", [signal.SIGSTOP, signal.SIGKILL])
 def test_monitor__that_is_frozen_or_killed_changes_nothing(scratch, episode_bus, fate):
     quiet = _run(episode_bus.endpoint)
-    command = [sys.executable, "-P", "-m", "zenostat.cli.main", "monitor", "--connect", episode_bus.endpoint]
+    command = [*ZENOSTAT, "monitor", "--connect", episode_bus.endpoint]
     command += ["--save", str(scratch / "run.rrd")]
     monitor = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
@@ -173,7 +173,7 @@ def test_monitor__viewer_that_is_served_leaves_no_files(scratch):
 @pytest.mark.variants
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_monitor__reports_that_it_waits_for_its_bus_and_can_be_ended(scratch, number):
-    command = [sys.executable, "-P", "-m", "zenostat.cli.main", "monitor", "--save", "run.rrd"]
+    command = [*ZENOSTAT, "monitor", "--save", "run.rrd"]
     command += ["--connect", f"tcp/127.0.0.1:{free_port()}"]
     monitor = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=scratch)
     try:
@@ -190,7 +190,7 @@ def test_monitor__reports_that_it_waits_for_its_bus_and_can_be_ended(scratch, nu
 def test_monitor__monitor_may_come_before_its_node(scratch):
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     command = [
-        sys.executable, "-P", "-m", "zenostat.cli.main", "monitor", "--save", "run.rrd", "--once", "--connect",
+        *ZENOSTAT, "monitor", "--save", "run.rrd", "--once", "--connect",
         endpoint,
     ]  # fmt: skip
     monitor = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=scratch)

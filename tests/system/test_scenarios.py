@@ -1,7 +1,6 @@
 """Scenarios in real runs: files, variants, control by zone, seeds and weather, and faults that are said beforehand."""
 
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import pytest
 import yaml
 from support import data_packs as packs
 from support.nodes import command_of
+from support.run_cli import ZENOSTAT
 
 import zenostat
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
@@ -72,7 +72,7 @@ def play(env: BuildingEnv, seed: int | None) -> tuple[np.ndarray, dict[str, Any]
 @pytest.mark.slow
 def test_scenarios__shown_scenario_simulates_the_same(scratch: Path) -> None:
     name = "ref-small-office-USA_CO_Denver-discrete-v1"
-    show = [sys.executable, "-P", "-m", "zenostat.cli.main", "scenarios", "show", name]
+    show = [*ZENOSTAT, "scenarios", "show", name]
     text = subprocess.run(show, capture_output=True, text=True, check=True).stdout
     (scratch / "mine.yaml").write_text(text)
     results = []

@@ -18,7 +18,7 @@ import yaml
 from pydantic_core import PydanticUndefined
 from support import asyncapi_validators, contract_page
 from support.contract_page import COMMAND, DOCUMENT, MASKED, PAGE, SAMPLE
-from support.run_cli import run_program
+from support.run_cli import ZENOSTAT, run_program
 
 from zenostat.bridge.faults import read_plan
 from zenostat.bridge.transport import session
@@ -280,7 +280,7 @@ def test_contract__file_is_what_the_command_gives(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_contract__command_prints_it_and_names_a_folder_that_is_not_there() -> None:
-    command = [sys.executable, "-P", "-m", "zenostat.cli.main", "asyncapi"]
+    command = [*ZENOSTAT, "asyncapi"]
     printed = subprocess.run(command, capture_output=True, text=True)
     assert yaml.safe_load(printed.stdout) == CONTRACT
     missing = subprocess.run([*command, "--output", "nowhere/a.yaml"], capture_output=True, text=True)

@@ -3,7 +3,6 @@
 import json
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from datetime import timedelta
 from pathlib import Path
@@ -14,6 +13,7 @@ import httpx
 import pytest
 from support.control_room import NEEDS_CHROMIUM, Visitor, control_room, violations
 from support.nodes import SMALL, NodeProgram, free_port, nothing_left, until
+from support.run_cli import ZENOSTAT
 
 import zenostat
 
@@ -469,7 +469,7 @@ def test_room__node_that_dies_and_comes_back(browser: Any, scratch: Path) -> Non
 @pytest.mark.slow
 def test_room__command_prints_a_link_and_ends_on_sigterm(office: NodeProgram, scratch: Path) -> None:
     with nothing_left(scratch):
-        command = [sys.executable, "-P", "-m", "zenostat.cli.main", "room", "--connect", office.endpoint]
+        command = [*ZENOSTAT, "room", "--connect", office.endpoint]
         token = scratch / "token"
         options = ["--address", "127.0.0.1:0", "--operator", "ada", "--api-token-file", str(token)]
         program = subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True)
