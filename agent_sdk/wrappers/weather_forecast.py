@@ -226,7 +226,8 @@ class WeatherForecast(BuildingWrapper):
     The values are those at `spacing_h`, 2 `spacing_h`, … after the sample, interpolated linearly between the rows of
     the file (over the shorter arc for `wind_direction`), as EnergyPlus does for instantaneous quantities. A row of a
     radiation is the mean of the hour that ends at its time. Before the first row and after the last, whose time is a
-    week after the episode's end, that row's value is held. Missing rows are skipped.
+    week after the episode's end, that row's value is held. A missing value is what EnergyPlus takes in its place, such
+    as 0 for the sun; in a column that EnergyPlus does not use, it is skipped.
 
     With `errors`, a path of errors is added to the forecast. It starts at 0 now and is drawn again at each step, from
     the seed of `reset`. Its standard deviation is sigma * sqrt(horizon / 24 h), so sigma is that of a day ahead; with

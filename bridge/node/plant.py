@@ -129,7 +129,7 @@ class PlantDescription:
 
 
 class WeatherTable(NamedTuple):
-    """Weather of an episode: values of shape (rows, columns), NaN where missing, each at the end of its interval."""
+    """Weather of an episode: values of shape (rows, columns), NaN where unknown, each at the end of its interval."""
 
     columns: list[str]
     units: list[str]

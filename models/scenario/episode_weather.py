@@ -19,7 +19,7 @@ from zenostat.models.weather.design_days import Site
 from zenostat.models.weather.fixed_width import FixedWidthWeather
 from zenostat.models.weather.header import Header
 from zenostat.models.weather.noise import Variability, with_noise
-from zenostat.models.weather.records import KEPT, initial_value
+from zenostat.models.weather.records import simulated_values
 from zenostat.topics.errors import InvalidConfig
 
 _UNPREDICTABLE = 2
@@ -269,8 +269,7 @@ def series(path: Path, period: Period, columns: Sequence[str]) -> tuple[NDArray[
 
     Returns:
         values, shape (rows, columns), each at the end of its interval; and the interval in seconds. Where one is
-        missing, it is the last one before it, or EnergyPlus's initial one, in the columns in which EnergyPlus takes
-        that, and otherwise NaN.
+        missing, it is what EnergyPlus takes in its place, and NaN in a column that EnergyPlus does not use.
 
     Raises:
         UnknownName: there is no such column.
@@ -290,17 +289,5 @@ def series(path: Path, period: Period, columns: Sequence[str]) -> tuple[NDArray[
         rows += range(place % len(days) * size, (place % len(days) + 1) * size)
         place += 1
         day += timedelta(days=1)
-    values = np.column_stack([weather.column(column.name)[rows] for column in selected])
-    missing = np.array([column.missing for column in selected])
-    values = np.where(values >= missing, np.nan, values)
-    for column, row in zip(selected, values.T, strict=True):
-        if column.name in KEPT:
-            _hold(row, initial_value(column.name, weather.header))
+    values = np.column_stack([simulated_values(weather, column.name, rows) for column in selected])
     return values, 3600.0 * weather.record_h
-
-
-def _hold(values: NDArray[np.float64], initial: float) -> None:
-    """Replace missing values by the last one before each, and those before the first one by `initial`."""
-    known = np.r_[initial, values]
-    last = np.maximum.accumulate(np.where(np.isnan(known), 0, np.arange(len(known))))
-    values[:] = known[last][1:]

@@ -1,4 +1,4 @@
-"""Moist air and the clear sky: relative humidity, dew point and infrared radiation.
+"""Moist air and the sky: relative humidity, dew point and infrared radiation.
 
 These closed formulas take whole arrays, and dew point and humidity are exact inverses of each other. Packages such as
 PsychroLib take single numbers and solve for the dew point iteratively.
@@ -47,3 +47,19 @@ def clear_sky_infrared(dry_bulb: Floats, dew_point: Floats) -> Floats:
     """
     emissivity = 0.787 + 0.764 * np.log((dew_point + 273.15) / 273.0)
     return np.asarray(emissivity * 5.6697e-8 * (dry_bulb + 273.15) ** 4)
+
+
+def sky_infrared(dry_bulb: Floats, dew_point: Floats, opaque_sky_cover: Floats) -> Floats:
+    """Return the horizontal infrared radiation of the sky in W/m2 as EnergyPlus 25.2 computes it.
+
+    Emissivity of a clear sky by G. Clark and C. Allen (1978), with the influence of clouds by G. N. Walton (1983) as in
+    EnergyPlus's Engineering Reference, "Sky Radiation Modeling".
+
+    Args:
+        dry_bulb: In C.
+        dew_point: In C.
+        opaque_sky_cover: In tenths.
+    """
+    clear = 0.787 + 0.764 * np.log((np.minimum(dry_bulb, dew_point) + 273.15) / 273.15)
+    clouds = 1.0 + 0.0224 * opaque_sky_cover - 0.0035 * opaque_sky_cover**2 + 0.00028 * opaque_sky_cover**3
+    return np.asarray(clear * clouds * 5.6697e-8 * (dry_bulb + 273.15) ** 4)

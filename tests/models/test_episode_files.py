@@ -286,15 +286,21 @@ def test_building__own_run_period_of_several_years_ends_in_its_last_one(small: B
     assert model.period("03-01", "03-02", None).end == date(2016, 3, 2)
 
 
-def test_series__missing_values_are_those_that_energyplus_takes(tmp_path: Path) -> None:
-    """The last one before it, of the temperature; none, of the radiation."""
+def with_gaps(path: Path, cells: dict[tuple[int, str], str]) -> Path:
+    """Write Denver's weather with other cells on 3 July, by row of the day and column."""
     lines = find_weather(DENVER).path.read_text("latin-1").splitlines()
-    for row in range(8 + 4392 + 5, 8 + 4392 + 9):
-        cells = lines[row].split(",")
-        cells[6], cells[13] = "99.9", "9999"
-        lines[row] = ",".join(cells)
-    path = tmp_path / "gap.epw"
+    for (row, column), text in cells.items():
+        row_cells = lines[8 + 4392 + row].split(",")
+        row_cells[epw.COLUMNS[column].index] = text
+        lines[8 + 4392 + row] = ",".join(row_cells)
     path.write_text("\n".join([*lines, ""]), encoding="latin-1")
+    return path
+
+
+def test_series__missing_values_are_those_that_energyplus_takes(tmp_path: Path) -> None:
+    """The last one before it, of the temperature; none, of global radiation, which is not used."""
+    gaps = {"dry_bulb_temperature": "99.9", "global_horizontal_radiation": "9999"}
+    path = with_gaps(tmp_path / "gap.epw", {(row, column): gaps[column] for column in gaps for row in range(5, 9)})
     day = date(2017, 7, 3)
     values, _ = series(path, Period(day, day, 4), ["dry_bulb", "global_horizontal_radiation"])
     assert np.flatnonzero(np.isnan(values[:, 1])).tolist() == [5, 6, 7, 8]
@@ -318,19 +324,53 @@ def test_series__values_missing_at_the_beginning_are_those_that_energyplus_takes
     column: str, variable: str, tmp_path: Path
 ) -> None:
     day, at = date(2017, 7, 3), epw.COLUMNS[column]
-    lines = find_weather(DENVER).path.read_text("latin-1").splitlines()
-    for row in range(8 + 4392, 8 + 4392 + 3):
-        cells = lines[row].split(",")
-        cells[at.index] = f"{at.missing:g}"
-        lines[row] = ",".join(cells)
-    path = tmp_path / "gap.epw"
-    path.write_text("\n".join([*lines, ""]), encoding="latin-1")
+    path = with_gaps(tmp_path / "gap.epw", {(row, column): f"{at.missing:g}" for row in range(3)})
     values, _ = series(path, Period(day, day, 4), [column])
     ran = run_outdoors(tmp_path / "run", path, day, day, variables=[variable])
     measured = ran.values[0][STEPS_PER_HOUR - 1 :: STEPS_PER_HOUR, 0]
     assert measured[:4] == pytest.approx(values[:4, 0], rel=1e-6)
     (sentence,) = missing_values(path, "gap")
     assert f"at the beginning of a run {values[0, 0]:g} {at.unit}" in sentence
+
+
+MISSING_AT_NOON = {
+    "direct_normal_radiation": "Site Direct Solar Radiation Rate per Area",
+    "diffuse_horizontal_radiation": "Site Diffuse Solar Radiation Rate per Area",
+    "horizontal_infrared_radiation_intensity": "Site Horizontal Infrared Radiation Rate per Area",
+    "total_sky_cover": "Site Total Sky Cover",
+    "opaque_sky_cover": "Site Opaque Sky Cover",
+    "relative_humidity": "Site Outdoor Air Relative Humidity",
+}
+
+
+def test_series__gap_of_a_logger_is_what_energyplus_simulates(tmp_path: Path) -> None:
+    """No sun, the infrared radiation of a computed sky, and the humidity of the hour before in whole percent."""
+    day, gap, infrared = date(2017, 7, 3), range(10, 14), "horizontal_infrared_radiation_intensity"
+    cells = {(row, column): f"{epw.COLUMNS[column].missing:g}" for column in MISSING_AT_NOON for row in gap}
+    cells |= {(gap[0] - 1, "relative_humidity"): "37.6", (gap[-1] + 2, infrared): "0"}
+    path = with_gaps(tmp_path / "gap.epw", cells)
+    values, _ = series(path, Period(day, day, STEPS_PER_HOUR), list(MISSING_AT_NOON))
+    ran = run_outdoors(tmp_path / "run", path, day, day, variables=list(MISSING_AT_NOON.values()))
+    hours = ran.values[0].reshape(24, STEPS_PER_HOUR, -1)
+    # EnergyPlus takes a row of the sun at the middle of its hour, other rows at the end.
+    measured = np.column_stack([hours[:, STEPS_PER_HOUR // 2 - 1, :2], hours[:, -1, 2:]])
+    assert measured[8:18] == pytest.approx(values[8:18], rel=1e-6)
+    assert not values[gap, :2].any()
+    assert values[gap, 5].tolist() == [38.0] * len(gap)
+    (sentence,) = missing_values(path, "gap")
+    assert "direct_normal_radiation (4), diffuse_horizontal_radiation (4); " in sentence
+    assert f"{infrared} (5), " in sentence
+    assert "no sun (0 W/m2)" in sentence
+    assert "at the beginning of a run 50 %;" in sentence
+
+
+def test_series__global_radiation_is_zero_only_without_any_sun(tmp_path: Path) -> None:
+    radiation = [f"{kind}_radiation" for kind in ("global_horizontal", "direct_normal", "diffuse_horizontal")]
+    cells = dict.fromkeys([(10, radiation[0]), *((12, column) for column in radiation)], "9999")
+    path, day = with_gaps(tmp_path / "gap.epw", cells), date(2017, 7, 3)
+    values, _ = series(path, Period(day, day, STEPS_PER_HOUR), radiation)
+    assert np.isnan(values[10, 0])
+    assert values[12].tolist() == [0.0, 0.0, 0.0]
 
 
 def late_noise(begin: date, end: date, path: Path) -> list[tuple[int, int]]:
