@@ -51,7 +51,8 @@ class Weather:
     Args:
         begin_s: time at which the series begins; its first row is valid one interval later.
         interval_s: time between two rows.
-        columns: by a weather file's name of a column, its values; NaN where one is missing that EnergyPlus does not use.
+        columns: by a weather file's name of a column, its values; NaN where one is missing that EnergyPlus does not
+            use.
         latitude_deg, longitude_deg, time_zone_h: of the site.
 
     Attributes:
