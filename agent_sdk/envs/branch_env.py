@@ -26,7 +26,7 @@ from zenostat.bridge.client.connection import Connection
 from zenostat.bridge.client.controller_link import ControllerLink, open_link
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics import codec
-from zenostat.topics.errors import BusError, EpisodeChanged, InvalidAction, InvalidConfig, NodeLost, NodeNotFound
+from zenostat.topics.errors import BusError, EpisodeChanged, InvalidAction, InvalidConfig, NodeNotFound
 from zenostat.topics.messages import CommandOp, CreateBranch, EpisodeStart, Sample, SimulatePlan
 
 _REPLY_BYTES = codec.MAX_BYTES // 2
@@ -276,7 +276,7 @@ class BranchVectorEnv(BuildingVectorEnv):
             try:
                 reply = link.bus.plan(self.manifest.node, request)
             except NodeNotFound:
-                raise NodeLost(f"node {self.manifest.node!r} is gone") from None
+                raise link.bus.lost(self.manifest.node) from None
             samples += [VectorSample(link.set_current(codec.decode(Sample, raw))) for raw in reply.samples]
             if len(reply.samples) < len(values[part]):
                 break

@@ -94,6 +94,7 @@ class Connection:
     def __init__(self, endpoint: str, session: OpenSession, affinity: Affinity) -> None:
         self.endpoint = endpoint
         self.identity, self.roles = session.name, session.roles
+        self._expired = session.expired
         self.timeout_s, self.via = _REQUEST_TIMEOUT_S, ""
         self._close, self._closed = ExitStack(), False
         self.affinity = affinity
@@ -193,9 +194,23 @@ class Connection:
                 f"the node {node!r} on {self.endpoint} did not take the request: it has just started, or does not "
                 "offer it"
             )
-        revoked = f", or they have revoked {self.identity}" if self.identity and not known else ""
         starting = "" if known else " (one may be starting)"
-        raise NodeNotFound(f"no node {node!r} on {self.endpoint}; {did_you_mean(node, known)}{starting}{revoked}")
+        denied = f", or {self._denied()}" if self.identity and not known else ""
+        raise NodeNotFound(f"no node {node!r} on {self.endpoint}; {did_you_mean(node, known)}{starting}{denied}")
+
+    def _denied(self) -> str:
+        """Return why no node may reply to this connection's certificate."""
+        return self._expired() or f"they have revoked {self.identity}, or their list of names does not have it"
+
+    def lost(self, node: str, where: str = "") -> NodeLost:
+        """Return the error for a node that has left the bus; with keys, it names a certificate that has expired.
+
+        Args:
+            node: The node's name.
+            where: How far the caller had come, for the text.
+        """
+        expired = self._expired(self.endpoint)
+        return NodeLost(f"node {node!r} is gone{where}" + (f": {expired}" if expired else ""))
 
     def _signed(self, request: Message) -> tuple[Message, str]:
         """Return a request with its sender's name, and that name: below the one in the certificate."""
@@ -363,7 +378,7 @@ class Connection:
         try:
             return self.ask(keys.WRITE_REQUEST, node, write, Ack, name=point)
         except NodeNotFound:
-            raise NodeLost(f"node {node!r} is gone") from None
+            raise self.lost(node) from None
         except RequestRejected as error:
             raise RequestRejected(f"node {node!r} rejected the write: {error}") from None
 
@@ -484,7 +499,7 @@ class Connection:
         except NodeNotFound:
             if pending.is_cancelled:
                 raise BusError(f"the trial of node {node!r} was cancelled") from None
-            raise NodeLost(f"node {node!r} is gone") from None
+            raise self.lost(node) from None
 
 
 def build(message_type: type[M], **fields: Any) -> M:

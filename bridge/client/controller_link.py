@@ -328,7 +328,7 @@ class ControllerLink:
         if self._closed is not None:
             raise self._closed
         if key == self._wake.key and self._node.lost:
-            self._ended = NodeLost(f"node {node!r} is gone{self._where()}")
+            self._ended = self.bus.lost(node, self._where())
             raise self._ended
         if key == keys.MANIFEST.at(node):
             self._described = message.payload.to_bytes()

@@ -15,7 +15,7 @@ from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.transport.session import FORKED
 from zenostat.bridge.transport.wakeup import stream_wake
 from zenostat.topics import codec, keys
-from zenostat.topics.errors import BusError, NodeLost, NodeNotFound
+from zenostat.topics.errors import BusError, NodeNotFound
 from zenostat.topics.messages import Sample
 from zenostat.topics.points import value_index
 
@@ -44,7 +44,7 @@ def listen(bus: Connection, node: str) -> Iterator[Iterator[SampleView]]:
                 message = inbox.recv()
                 key = str(message.key_expr)
                 if key == wake.key and watch.lost:
-                    raise NodeLost(f"node {node!r} is gone, or the connection to it is lost")
+                    raise bus.lost(node, ", or the connection to it is lost")
                 if key == keys.SAMPLE.at(node):
                     sample = codec.decode(Sample, message.payload.to_bytes(), str(message.encoding))
                     yield SampleView(sample, manifest, names)

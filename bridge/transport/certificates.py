@@ -53,6 +53,7 @@ EXPIRES_SOON = timedelta(days=30)
 """Time before the end of a certificate's validity from which it is warned of."""
 
 _MINUTE = "%Y-%m-%d %H:%M UTC"
+_SKEW = timedelta(minutes=1)
 _RENEW = "renew it with: zenostat keys add --force"
 _BACKDATED = timedelta(hours=1)  # the clocks of machines differ
 
@@ -101,6 +102,13 @@ class Identity:
         """Date on which the certificate expires, if that is soon."""
         warning = expiry_warning(self.expires)
         return f"{self.certificate} {warning}" if warning else ""
+
+    @property
+    def expired(self) -> str:
+        """Text that the certificate has expired; empty while it is valid. Clocks may differ by a minute."""
+        if self.expires > datetime.now(UTC) + _SKEW:
+            return ""
+        return f"{self.certificate} {expired_on(self.expires)}"
 
     def names(self) -> dict[str, tuple[Role, ...]]:
         """Return the names of the authority, with the roles of each; `InvalidConfig` if the list cannot be used."""

@@ -102,6 +102,14 @@ class OpenSession(AbstractContextManager[zenoh.Session]):
         self.roles = identity.roles if identity else ()
         self.warning = identity.warning if identity else ""
 
+    def expired(self, endpoint: str = "") -> str:
+        """Return whether its own certificate has expired, or that at an endpoint; empty if not, or without keys."""
+        if self._identity is None or self._identity.expired or not endpoint:
+            return self._identity.expired if self._identity else ""
+        from zenostat.bridge.transport.tls_diagnosis import expired_certificate  # rarely needed
+
+        return expired_certificate(endpoint, self._identity)
+
     def names(self) -> dict[str, tuple[Role, ...]]:
         """Return the roles of each name of the authority, which a node or router reads; none without keys.
 

@@ -13,20 +13,21 @@ from typing import Any
 
 import psutil
 import pytest
+from support.certificates import expire
 from support.links import CuttableLink
 from support.nodes import NodeProgram, free_port, until
 from support.run_cli import run_python
+from support.tank_plant import TANK
 from zenoh.handlers import RingChannel
 
 import zenostat
 from zenostat import Bus
 from zenostat.bridge.node.settings import NodeSettings
-from zenostat.bridge.transport import certificates
 from zenostat.bridge.transport.certificates import add, make, names_of
 from zenostat.bridge.transport.name_list import NAMES
 from zenostat.bridge.transport.session import open_session
 from zenostat.topics import codec, keys
-from zenostat.topics.errors import InvalidConfig, NodeNotFound, RequestRejected
+from zenostat.topics.errors import InvalidConfig, NodeLost, NodeNotFound, RequestRejected
 from zenostat.topics.keys import Role
 from zenostat.topics.messages import Event
 
@@ -196,14 +197,37 @@ def test_threats__certificate_that_expires_soon_is_warned_of_and_renewed_while_t
 
 @pytest.mark.slow
 def test_threats__link_ends_when_its_certificate_expires(
-    node: NodeProgram, pki: Path, monkeypatch: pytest.MonkeyPatch
+    node: NodeProgram, pki: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with monkeypatch.context() as patch:
-        patch.setattr(certificates, "_check_days", lambda *_: None)
-        add(pki, Role.MONITOR, "brief", days=20 / 86400)  # type: ignore[arg-type]
-    with open_session(connect=[node.endpoint], keys=pki, certificate="brief") as session:
-        assert len(session.info.links()) == 1
-        until(lambda: session.info.links() == [], "its link has ended")
+    own = tmp_path / "own"
+    shutil.copytree(pki, own)
+    expire(own, "monitor", monkeypatch, Role.MONITOR, days=20 / 86400)
+    with pytest.warns(UserWarning, match="expires on"):
+        bus = zenostat.connect(node.endpoint, keys=own, role=Role.MONITOR, affinity="off")
+    with bus, bus.listen("office") as samples:
+        assert len(bus.session.info.links()) == 1
+        with pytest.raises(NodeLost, match=r"'office' is gone.*monitor\.pem expired on .*; renew it with"):
+            list(samples)
+        assert bus.session.info.links() == []
+        with pytest.raises(NodeNotFound, match=r"there are none.*monitor\.pem expired on"):
+            bus.manifest("office")
+
+
+@pytest.mark.slow
+def test_threats__node_whose_certificate_expires_is_lost_with_that_reason(
+    scratch: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pki = tmp_path / "keys"
+    make(pki)
+    expire(pki, "brief", monkeypatch, Role.NODE, days=30 / 86400)
+    settings = {"plant": TANK, "name": "tank", "keys": str(pki / "brief.pem")}
+    with (
+        NodeProgram(scratch / "node", listen=[f"tls/127.0.0.1:{free_port()}"], **settings) as brief,
+        zenostat.connect(brief.endpoint, keys=pki, role=Role.MONITOR, affinity="off") as bus,
+        bus.listen("tank") as samples,
+        pytest.raises(NodeLost, match=f"the certificate at {brief.endpoint} has expired"),
+    ):
+        list(samples)
 
 
 @pytest.mark.slow
