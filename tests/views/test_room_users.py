@@ -89,8 +89,17 @@ def test_access__certificate_alone_does_not_permit_another_site(access: Access) 
     assert status(access, "ada", headers={"sec_fetch_site": "cross-site"}) == 403
 
 
-def test_access__expired_certificate_proves_nothing(access: Access) -> None:
-    assert status(access, "ada", expires_s=1.0) == 401
+def test_access__certificate_that_proves_no_user_is_refused_with_the_reason(clock: Clock, copied_keys: Path) -> None:
+    access = Access(frozenset({HOST}), "room", scheme="https", users=BusUsers(copied_keys, clock), clock=clock)
+    revoke(copied_keys, "eve")
+    clock.now_s = 1.1
+    expired = "the certificate of ada expired on 2001-09-09 01:46 UTC; renew it with: zenostat keys add --force"
+    assert access.rejection(request("ada", expires_s=1e9)) == (401, expired)
+    assert access.rejection(request("eve")) == (401, "eve is revoked")
+    assert access.rejection(request("node")) == (401, "node is no operator or monitor in the list of names of the bus")
+    nobody = access.rejection(request(""))
+    assert nobody is not None
+    assert nobody[1].startswith("sign in with a link")
 
 
 def test_access__user_is_who_proves_the_name_now(access: Access, monkeypatch: pytest.MonkeyPatch) -> None:

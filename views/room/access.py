@@ -55,6 +55,8 @@ POLICY = (
 )
 """Content security policy: nothing but this server's own files, no inline script or style, no HTML from texts."""
 
+_SIGN_IN = "sign in with a link that `zenostat room` prints, or a certificate of an operator or monitor"
+
 _HEADERS = {
     "content-security-policy": POLICY,
     "x-content-type-options": "nosniff",
@@ -222,7 +224,7 @@ class Access:
         if session is None:
             if path in _OPEN or path.startswith("/static/"):
                 return None
-            return 401, "sign in with a link that `zenostat room` prints, or a certificate of an operator or monitor"
+            return 401, self.denial(scope) or _SIGN_IN
         if session.role is Role.OPERATOR:
             return None
         if method not in ("GET", "HEAD"):
@@ -238,9 +240,19 @@ class Access:
         sessions = (replace(each, role=role) for each in proofs if each and (role := self.role(each.operator)))
         return next(sessions, None)
 
+    def denial(self, scope: MutableMapping[str, Any]) -> str:
+        """Return why what a request presents proves no user, for who has no user; empty if it presents nothing."""
+        if self._users is None:
+            return ""
+        certificate, session = _certificate(scope), self._lasting(Request(scope).cookies.get(self.cookie))
+        if session is None and certificate.expired:
+            return certificate.expired
+        name = session.operator if session else certificate.name
+        return self._users.denial(name) if name else ""
+
     def _proven(self, scope: MutableMapping[str, Any]) -> Session | None:
         """Return a session for the name in the connection's certificate; None without one."""
-        certificate: ClientCertificate = scope.get("state", {}).get(CERTIFICATE, ClientCertificate())
+        certificate = _certificate(scope)
         name = certificate.valid_name if self._users is not None else ""
         return Session(name, self._clock()) if name else None
 
@@ -291,6 +303,12 @@ class Guard:
 
 class BodyTooLarge(Exception):
     """A request's body is longer than `MAX_BODY_BYTES`."""
+
+
+def _certificate(scope: MutableMapping[str, Any]) -> ClientCertificate:
+    """Return what the certificate of a request's connection states."""
+    certificate: ClientCertificate = scope.get("state", {}).get(CERTIFICATE, ClientCertificate())
+    return certificate
 
 
 def _digest(secret: str) -> str:

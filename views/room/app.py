@@ -228,7 +228,8 @@ class Room:
         session: Session | None = request.state.session
         has_trainings = self._settings.trainings is not None
         operator, role = (None, None) if session is None else (session.operator, session.role.value)
-        return JSONResponse({"operator": operator, "role": role, "trainings": has_trainings})
+        denial = "" if session else self._access.denial(request.scope)
+        return JSONResponse({"operator": operator, "role": role, "trainings": has_trainings, "denial": denial})
 
     async def _invite(self, request: Request) -> Response:
         invited = read_body(_Invitation, await request.body()).operator

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from ipaddress import ip_address
 from pathlib import Path
 from stat import S_IRWXG, S_IRWXO
@@ -15,7 +16,7 @@ from typing import Any
 
 from cryptography import x509
 
-from zenostat.bridge.transport.certificates import AUTHORITY, names_of
+from zenostat.bridge.transport.certificates import AUTHORITY, expired_on, names_of
 from zenostat.bridge.transport.deny_list import read_revoked
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.keys import Role
@@ -52,6 +53,14 @@ class BusUsers:
         if Role.OPERATOR in roles:
             return Role.OPERATOR
         return Role.MONITOR if any(role in roles for role in _READERS) else None
+
+    def denial(self, name: str) -> str:
+        """Return why a name may do nothing on the page."""
+        with self._lock:
+            is_revoked = name in self._revoked
+        return (
+            f"{name} is revoked" if is_revoked else f"{name} is no operator or monitor in the list of names of the bus"
+        )
 
     def _refresh(self) -> None:
         """Read both lists again, at most once a second; a damaged one is not followed."""
@@ -139,7 +148,14 @@ class ClientCertificate:
     @property
     def valid_name(self) -> str:
         """Name until the certificate expires; a connection may last longer."""
-        return self.name if time.time() < self.expires_s else ""
+        return "" if self.expired else self.name
+
+    @property
+    def expired(self) -> str:
+        """Text that the certificate has expired; empty while it is valid, or without one."""
+        if not self.name or time.time() < self.expires_s:
+            return ""
+        return f"the certificate of {self.name} {expired_on(datetime.fromtimestamp(self.expires_s, UTC))}"
 
 
 def client_certificate(verified: Mapping[str, Any] | None) -> ClientCertificate:

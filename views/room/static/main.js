@@ -41,7 +41,9 @@ async function signIn() {
       return user;
     }
   }
-  return (await get("/api/session")).operator;
+  const { operator: user, denial } = await get("/api/session");
+  if (denial) throw new Error(denial);  // of a certificate that has expired, or a name without a role
+  return user;
 }
 
 /** Pages that this server has. */
