@@ -58,6 +58,7 @@ def router(
                 err.warning,
             )
             stack.callback(revoked.close)
+            opened.watch_expiry(timer, err.warning)
         out.print(f"router on {', '.join(endpoints)}; press Ctrl-C to stop")
         with reported(lambda report: report()):
             stop.wait()

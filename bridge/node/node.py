@@ -55,6 +55,7 @@ class Node:
         server: the node on the bus.
         branches: its snapshots and branches.
         namesake_warning: the latest warning that another node of the same name is on the bus; empty if none is.
+        expiry_warning: the latest warning since its start that its certificate expires or has expired; empty if none.
 
     Raises (on entering):
         UsageError, SimulatorError, BusError: see `zenostat.topics.errors`; everything that was started is closed.
@@ -76,7 +77,7 @@ class Node:
         timeout_s = SHUTDOWN_TIMEOUT_S + finish_s
         self._guard = ShutdownGuard(self._stop_waiting, self._end_process if program else None, timeout_s)
         self._has_server = False
-        self.namesake_warning = ""
+        self.namesake_warning = self.expiry_warning = ""
         self._deny_list: DenyList | None = None
         self._resumption: Resumption | None = None
         self._close = ExitStack()
@@ -262,6 +263,7 @@ class Node:
         self._close.callback(deny_list.close)
         self.server.access = Access(names, lambda: deny_list.names)
         self._deny_list = deny_list
+        self._opened.watch_expiry(self.server.timer, self._on_expiry)
 
     def _on_revoked(self, names: frozenset[str]) -> None:
         """End what revoked names have; in any thread."""
@@ -275,6 +277,11 @@ class Node:
 
     def _on_unreadable_deny_list(self, error: str) -> None:
         self._warn(f"{error}; the names that are revoked stay so until the node is started again")
+
+    def _on_expiry(self, warning: str) -> None:
+        """Report that its certificate expires soon, or has expired; in any thread."""
+        self.expiry_warning = warning
+        self._warn(warning)
 
     def _warn(self, text: str) -> None:
         """Publish a warning; in any thread."""

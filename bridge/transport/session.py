@@ -10,7 +10,7 @@ import json
 import os
 import re
 import socket
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, suppress
 from enum import StrEnum
 from pathlib import Path
@@ -26,6 +26,7 @@ from zenostat.topics.errors import AddressInUse, BusError, ErrorCollector, Inval
 from zenostat.topics.keys import DEFAULT_HOST, DEFAULT_PORT, Role
 
 if TYPE_CHECKING:
+    from zenostat.bridge.runtime.timer import Timer
     from zenostat.bridge.transport.certificates import Identity
 
 DEFAULT_ENDPOINT = f"tcp/{DEFAULT_HOST}:{DEFAULT_PORT}"
@@ -101,6 +102,13 @@ class OpenSession(AbstractContextManager[zenoh.Session]):
         self.name = identity.name if identity else ""
         self.roles = identity.roles if identity else ()
         self.warning = identity.warning if identity else ""
+
+    def watch_expiry(self, timer: Timer, warn: Callable[[str], None]) -> None:
+        """Call a function in the timer's thread with a warning before its certificate expires, and when it does."""
+        if self._identity is not None:
+            from zenostat.bridge.transport.expiry_watch import ExpiryWatch  # only for what runs for long with keys
+
+            ExpiryWatch(self._identity, timer, warn)
 
     def expired(self, endpoint: str = "") -> str:
         """Return whether its own certificate has expired, or that at an endpoint; empty if not, or without keys."""
