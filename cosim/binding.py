@@ -340,7 +340,8 @@ def _transfer(
             f"{file.path}:{file.lines.at(location)}: {spec.source} is the value at the end of a timestep; energy is "
             "exchanged as a mean: choose the aggregation `mean`, or a meter"
         )
-    low, high = _bounds(connection, actuator, errors)
+    is_added = [other.target for other in file.connections].count(connection.target) > 1
+    low, high = bounds(spec) if is_added else _bounds(connection, actuator, errors)
     if spec.initial is not None and not low <= spec.initial <= high:
         errors.add(
             (*location, "initial"), f"initial = {spec.initial:g} is outside of {low:g} to {high:g} {actuator.unit}"
@@ -465,10 +466,8 @@ def _conversion(
 
 
 def _bounds(connection: Connection, actuator: Actuator, errors: FileErrors) -> tuple[float, float]:
-    spec = connection.spec
-    low, high = bounds(spec)
-    if spec.sum:
-        return low, high
+    """Return the bounds of a connection that is not added to others: its own, within those of its actuator."""
+    low, high = bounds(connection.spec)
     lowest, highest = bounds(actuator)
     if low > highest or high < lowest:
         errors.add(

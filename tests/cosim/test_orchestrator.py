@@ -203,6 +203,16 @@ def test_loop__value_for_several_actuators_is_one_unknown(folder: Path) -> None:
     assert all(abs(balance.closure) <= 1e-9 for balance in orchestrator.balances())
 
 
+def test_step__sum_of_a_single_connection_is_limited_by_its_actuator(folder: Path) -> None:
+    """Of 10 W for 900 s, 5 W are received, and the balance has the rest as clipped."""
+    plants = {"a": plant(gain(0.0, 10.0)), "b": plant(gain(1.0), actuators={"u": ("W", 0.0, 5.0)})}
+    orchestrator, _, _ = orchestrated(file_of(folder, "  - {from: a.x, to: b.u, sum: true}\n"), plants)
+    orchestrator.step(free(plants))
+    assert plants["b"].commands[0][0] == 5.0
+    (balance,) = orchestrator.balances()
+    assert (balance.sent, balance.received, balance.clipped) == (9000.0, 4500.0, 4500.0)
+
+
 def switch(state: list[float], row: list[float]) -> tuple[list[float], list[float]]:
     """Staged equipment: full power below a command of 3, none above."""
     return state, [10.0 if row[0] < 3.0 else 0.0]
