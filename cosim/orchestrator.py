@@ -224,14 +224,8 @@ class Orchestrator:
         """Return the commands of a plant for its timesteps; sets what its connections received."""
         rows = np.tile(own[plant], (self._binding.members[plant].steps, 1))
         for target in self._by_plant[plant]:
-            values = [self._received(position, done) for position in target.transfers]
-            if len(values) == 1:
-                rows[:, target.column] = values[0]
-            else:
-                total = values[0]
-                for value in values[1:]:
-                    total = total + value
-                rows[:, target.column] = np.minimum(np.maximum(total, target.low), target.high)
+            first, *others = (self._received(position, done) for position in target.transfers)
+            rows[:, target.column] = np.minimum(np.maximum(sum(others, start=first), target.low), target.high)
         return rows
 
     def _received(self, position: int, done: Mapping[str, Rows]) -> Floats:
