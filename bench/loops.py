@@ -28,7 +28,8 @@ from rich.table import Table
 import zenostat  # noqa: F401  # registers the environments
 from bench import programs
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
-from zenostat.cosim.solver import Floats, Outcome, Problem, Secants, solve_in_bracket
+from zenostat.cosim.solver import Outcome, Problem, Secants, solve_in_bracket
+from zenostat.topics.arrays import Floats
 
 DAY = {"begin": "07-03", "end": "07-03", "steps_per_hour": 4}
 BUILDINGS = {

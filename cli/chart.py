@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.text import Text
 
-Floats = NDArray[np.float64]
+from zenostat.topics.arrays import Floats
 
 COLORS = ("bright_cyan", "bright_yellow", "bright_magenta", "bright_green", "bright_red", "bright_blue")
 """Colors of the lines of a panel, in turn."""

@@ -6,12 +6,8 @@ from collections.abc import Iterable, Mapping
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Manifest
-
-Floats = NDArray[np.float64]
 
 if TYPE_CHECKING:
     import zenoh

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
+from zenostat.topics.arrays import Floats
 from zenostat.topics.connection_balance import ConnectionBalance
-
-Floats = NDArray[np.float64]
 
 
 class Total:

@@ -13,8 +13,9 @@ from zenostat.bridge.node.plant import RunPeriod
 from zenostat.bridge.python_plant.description import BEGIN
 from zenostat.cosim.file import BUILDING_KINDS, Connection, DistrictFile, Resample, kind_of
 from zenostat.cosim.market_plant import Market
-from zenostat.cosim.resampling import TICK_S, Floats, Resampler, whole_steps
+from zenostat.cosim.resampling import TICK_S, Resampler, whole_steps
 from zenostat.cosim.topology import MAX_POINT_NAME, Topology, plant_of
+from zenostat.topics.arrays import Floats
 from zenostat.topics.calendar import format_duration, parse_day
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.messages import Actuator, Aggregation, Manifest, Meter, Sensor

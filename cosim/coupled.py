@@ -9,13 +9,11 @@ from time import monotonic
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.cosim.file import OnLost
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import BusError, EngineDied, ForkFailed, PeerError, SimulatorError
 from zenostat.topics.messages import Manifest
-
-Floats = NDArray[np.float64]
 
 LOST = (BusError, PeerError, SimulatorError)
 """Errors after which a plant's episode cannot go on."""

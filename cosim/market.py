@@ -14,10 +14,9 @@ from enum import StrEnum
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-Floats = NDArray[np.float64]
+from zenostat.topics.arrays import Floats
 
 
 class Bids(StrEnum):

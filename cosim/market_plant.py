@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zenostat.cosim.coupled import Floats, Rows
+from zenostat.cosim.coupled import Rows
 from zenostat.cosim.market import Clearing, MarketSpec
 from zenostat.cosim.resampling import whole_steps
 from zenostat.topics import VERSION
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Actuator, Aggregation, Manifest, Mode, Policy, Sensor, Versions
 
 SENSORS = ("price", "demand", "cleared_demand", "limit", "cleared", "trials")

@@ -18,7 +18,8 @@ from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.client.trials import PendingTrial, trial_message
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.transport.session import certificate_file
-from zenostat.cosim.coupled import Floats, Rows
+from zenostat.cosim.coupled import Rows
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import BusError, EpisodeChanged, NodeLost, RequestRejected, ZenostatError
 from zenostat.topics.messages import CommandOp, ControllerState, CreateBranch, Manifest, Mode, Reset, State
 

@@ -18,7 +18,6 @@ from math import fsum, isfinite, nan
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.cosim.balance import Ledger
 from zenostat.cosim.binding import Binding, Input, Transfer
@@ -28,9 +27,8 @@ from zenostat.cosim.market import Bids, Clearing, Demand, LinearBids, clear
 from zenostat.cosim.market_plant import PRICE, SENSORS, Market, MarketPlant
 from zenostat.cosim.solver import Outcome, Problem, Secants, Solution, solve
 from zenostat.cosim.topology import Block
+from zenostat.topics.arrays import Floats
 from zenostat.topics.connection_balance import ConnectionBalance
-
-Floats = NDArray[np.float64]
 
 _Result = TypeVar("_Result")
 

@@ -6,11 +6,9 @@ from fractions import Fraction
 from math import ceil, fsum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.cosim.file import Resample
-
-Floats = NDArray[np.float64]
+from zenostat.topics.arrays import Floats
 
 TICK_S = 1e-6
 """Timesteps are whole numbers of microseconds."""

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from zenostat.cosim.binding import Binding, Member
-from zenostat.cosim.coupled import Floats, GuardedPlant, PlantState, Rows
+from zenostat.cosim.coupled import GuardedPlant, PlantState, Rows
 from zenostat.cosim.file import SolverSpec
 from zenostat.cosim.market import Bids
 from zenostat.cosim.orchestrator import Orchestrator
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Actuator, Aggregation, Meter
 
 

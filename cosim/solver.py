@@ -21,9 +21,8 @@ from itertools import pairwise
 from math import copysign, fsum, inf, isfinite, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from zenostat.topics.arrays import Floats
 
 Function = Callable[[Floats], Floats]
 """G: the values that plants return for the unknowns; both of shape (unknowns,)."""

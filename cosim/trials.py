@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from zenostat.cosim.coupled import LOST, CoupledPlant, Floats, GuardedPlant, Rows
+from zenostat.cosim.coupled import LOST, CoupledPlant, GuardedPlant, Rows
 from zenostat.cosim.file import OnLost
 from zenostat.cosim.market_plant import MarketPlant
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import EngineDied, ForkFailed, SimulatorError
 
 if TYPE_CHECKING:

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.metrics.roles import roles
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Manifest
 from zenostat.topics.plurals import counted
-
-Floats = NDArray[np.float64]
 
 DEFAULT_BAND_DEGC = (20.0, 26.0)
 """Band of pictures where no reward has one: the design values of office rooms in EN 16798-1, category II."""

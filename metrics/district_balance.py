@@ -16,14 +16,12 @@ from dataclasses import dataclass, replace
 from math import fsum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.metrics.roles import roles
 from zenostat.metrics.trajectory import Trajectory
+from zenostat.topics.arrays import Floats
 from zenostat.topics.connection_balance import TERMS, ConnectionBalance
 from zenostat.topics.messages import Manifest, Meter, Task
-
-Floats = NDArray[np.float64]
 
 _AVAILABLE = re.compile(r"plant\.([^.]+)\.available")
 _GRID = {"import", "export", "losses", "converged"}

@@ -15,18 +15,16 @@ from dataclasses import dataclass
 from math import isfinite, isnan
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.agent_sdk.rewards import DistrictReward
 from zenostat.agent_sdk.rewards.energy_meter import EnergyMeter
 from zenostat.agent_sdk.rewards.manifest_data import known_rewards
 from zenostat.agent_sdk.time_series import price_per_kwh
 from zenostat.metrics.trajectory import Trajectory
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.messages import Manifest
 from zenostat.topics.points import is_mean
-
-Floats = NDArray[np.float64]
 
 DISTRICT_KPIS = {
     "electricity_consumption_total": ("energy drawn", "kWh"),

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.agent_sdk.rewards import Reward
 from zenostat.bridge.client.sample import SampleView
@@ -17,9 +16,8 @@ from zenostat.metrics.kpis import KPIS, KpiAccumulator
 from zenostat.metrics.reward_comfort import comfort
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.metrics.unmet_hours import UnmetHours
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Manifest
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,14 +12,12 @@ from datetime import datetime
 from math import ceil, floor
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.metrics.comfort import Comfort
 from zenostat.metrics.energy_meters import FUELS, EnergySource, facility_sources, hvac_sources
 from zenostat.metrics.fuel_rates import FuelRate
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Aggregation, Manifest
-
-Floats = NDArray[np.float64]
 
 KPIS = {
     "tdis_tot": ("thermal discomfort", "K h/zone"),

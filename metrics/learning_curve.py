@@ -10,7 +10,9 @@ from statistics import fmean
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from zenostat.topics.arrays import Floats
 
 MEAN_OF = 100
 """Number of episodes in a moving mean, as stable-baselines3 logs it."""
@@ -25,12 +27,12 @@ class Evaluation(NamedTuple):
     high: float
 
 
-def moving_mean(values: ArrayLike) -> NDArray[np.float64]:
+def moving_mean(values: ArrayLike) -> Floats:
     """Return the mean of each value and those before it, at most `MEAN_OF`; shape (values,)."""
     sums = np.concatenate([[0.0], np.cumsum(np.asarray(values, np.float64))])
     ends = np.arange(1, len(sums))
     begins = np.maximum(ends - MEAN_OF, 0)
-    means: NDArray[np.float64] = (sums[ends] - sums[begins]) / (ends - begins)
+    means: Floats = (sums[ends] - sums[begins]) / (ends - begins)
     return means
 
 

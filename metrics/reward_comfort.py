@@ -5,7 +5,6 @@ from __future__ import annotations
 from datetime import datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.agent_sdk.rewards import MultiZoneReward, Reward
 from zenostat.agent_sdk.rewards.comfort_band import ComfortBand
@@ -14,10 +13,9 @@ from zenostat.agent_sdk.rewards.occupied import PEOPLE, OccupiedComfort
 from zenostat.agent_sdk.rewards.selectors import same_zone, temperatures
 from zenostat.metrics.comfort import DEFAULT_BAND_DEGC, Comfort, default_comfort
 from zenostat.metrics.roles import roles
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Manifest
-
-Floats = NDArray[np.float64]
 
 
 def comfort(manifest: Manifest, reward: Reward | None = None) -> Comfort | None:

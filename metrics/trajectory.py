@@ -17,10 +17,9 @@ from zenostat.bridge.client.history import first_step, last_step, sample_times
 from zenostat.metrics.episode_weather import EpisodeWeather
 from zenostat.metrics.labels import unused_name
 from zenostat.metrics.parquet import write_table
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 from zenostat.topics.messages import Aggregation, Manifest
-
-Floats = NDArray[np.float64]
 
 _PER_STEP = ("actions", "rewards")
 _COLUMNS = frozenset(("episode", "slot", "step", "time", "wall_time", "reward"))

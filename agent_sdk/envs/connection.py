@@ -15,7 +15,6 @@ from typing import Any, NoReturn, Protocol
 from zenostat.agent_sdk.envs import arguments
 from zenostat.agent_sdk.envs.snapshot import require_node
 from zenostat.agent_sdk.envs.space_names import SpaceNames
-from zenostat.agent_sdk.envs.vector_sample import Floats
 from zenostat.agent_sdk.rewards import AnyReward, Reward, read_reward
 from zenostat.agent_sdk.rewards.manifest_data import reward_data, task_paying
 from zenostat.bridge.client.bus import Bus
@@ -30,6 +29,7 @@ from zenostat.bridge.recording.file import next_recording
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.runtime.processes import Monitor
 from zenostat.bridge.transport.session import certificate_file, keys_folder
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import BusError, EpisodeChanged, InvalidConfig, RequestRejected, UsageError
 from zenostat.topics.messages import Ack, Claim, Manifest, RecordingState, RecordingStatus, WeatherSeries
 

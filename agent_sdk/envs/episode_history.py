@@ -8,9 +8,8 @@ from datetime import datetime, timedelta
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from zenostat.topics.arrays import Floats
 
 _DAY = timedelta(days=1)
 _MIN_STEPS, _MAX_STEPS = 48, 1440

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from zenostat.agent_sdk.envs.episode_history import EpisodeHistory
 from zenostat.agent_sdk.rewards import Reward
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import EpisodeChanged
 from zenostat.topics.extras import import_extra
 from zenostat.topics.messages import Manifest
-
-Floats = NDArray[np.float64]
 
 
 class EpisodeRenderer:

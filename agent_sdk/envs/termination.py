@@ -8,10 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Manifest
 from zenostat.topics.points import bounds, value_index
-
-Floats = NDArray[np.float64]
 
 
 class TerminationLimits:

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from zenostat.agent_sdk.envs.time_features import time_features
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics import codec
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Flag
 
-Floats = NDArray[np.float64]
 _TRUNCATED = int(Flag.TRUNCATED)
 
 

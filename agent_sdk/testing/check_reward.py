@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.agent_sdk.rewards import AnyReward, BoundReward, Outcome, Reward, read_reward
 from zenostat.agent_sdk.rewards.custom import ATTRIBUTES, is_custom
@@ -16,8 +15,6 @@ from zenostat.agent_sdk.testing.fake_building import FakeBuilding
 from zenostat.agent_sdk.testing.report import Check, Report, name_of, raised, run
 from zenostat.topics.errors import InvalidConfig, UnknownName
 from zenostat.topics.messages import Manifest
-
-Floats = NDArray[np.float64]
 
 _STEPS = 120
 _SLOTS = 3

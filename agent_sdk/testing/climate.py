@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from datetime import datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import UnknownName, did_you_mean
 from zenostat.topics.messages import WeatherSeries
-
-Floats = NDArray[np.float64]
 
 _UNITS = {"dry_bulb_temperature": "C", "global_horizontal_radiation": "Wh/m2"}  # as in EPW files
 _COLDEST_DAY, _WARMEST_HOUR = 15.0, 15.0

@@ -7,15 +7,13 @@ from datetime import datetime, timedelta
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.agent_sdk.testing.climate import Climate, weather_series
 from zenostat.agent_sdk.testing.fake_manifest import RunPeriod, build_manifest, with_unobserved
 from zenostat.agent_sdk.testing.rc_zones import RCZones, Zone, ZoneStep
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig, ModelError
 from zenostat.topics.messages import WeatherSeries
-
-Floats = NDArray[np.float64]
 
 OPEN_HOURS = range(8, 18)
 """Hours on weekdays at which the zones are occupied and the equipment is on."""

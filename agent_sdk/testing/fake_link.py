@@ -11,11 +11,11 @@ from zenostat.agent_sdk.testing.fake_building import FakeBuilding
 from zenostat.bridge.client.command_publisher import CommandArrays
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics import codec
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import EpisodeChanged, PeerError, RequestRejected, UsageError
 from zenostat.topics.messages import Ack, CommandOp, EngineStart, EpisodeStart, Flag, Sample, WeatherSeries
 from zenostat.topics.points import bound_arrays, describe_violation, value_index
 
-Floats = NDArray[np.float64]
 _KEEP, _SET, _RELINQUISH = int(CommandOp.KEEP), int(CommandOp.SET), int(CommandOp.RELINQUISH)
 _TRUNCATED = int(Flag.TRUNCATED)
 

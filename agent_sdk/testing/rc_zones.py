@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

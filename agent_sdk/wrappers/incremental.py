@@ -15,9 +15,9 @@ from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
 from zenostat.agent_sdk.wrappers.base import EnvView, ResetBatch, Values, WrapperLogic
 from zenostat.agent_sdk.wrappers.gymnasium_wrappers import Trait, wrappers_with
 from zenostat.agent_sdk.wrappers.names import indices_of, reject_wrappers, require_mapping
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidAction, InvalidConfig
 
-Floats = NDArray[np.float64]
 NOT_IN_UNITS = (*wrappers_with(Trait.ACTION_UNITS), "IncrementalAction", "DiscreteIncrementalAction")
 """Wrappers whose actions are not the values of the wrapped environment's actions."""
 

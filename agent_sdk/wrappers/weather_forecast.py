@@ -7,12 +7,12 @@ from datetime import datetime
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
 from zenostat.agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
 from zenostat.agent_sdk.wrappers.names import indices_of, require_mapping
 from zenostat.agent_sdk.wrappers.random_streams import SlotRandomStreams
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import WeatherSeries
 
@@ -23,8 +23,6 @@ _BOUNDS = {"relative_humidity": (0.0, 110.0), _WIND_DIRECTION: (0.0, 360.0)} | {
 _NOT_NEGATIVE = ("radiation", "illuminance", "luminance", "speed", "pressure", "depth", "visibility", "height")
 _MAX_ERROR = 1e9
 """Largest sigma and mu; observations are float32."""
-
-Floats = NDArray[np.float64]
 
 
 def _bounds(column: str) -> tuple[float, float]:

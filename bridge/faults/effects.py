@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from zenostat.bridge.faults.random_streams import Distribution, RandomStream
 from zenostat.bridge.faults.schedule import FaultSchedule
+from zenostat.topics.arrays import Floats
 from zenostat.topics.fault_plan import (
     Bias,
     Clip,
@@ -25,8 +26,6 @@ from zenostat.topics.fault_plan import (
     Spike,
     Stuck,
 )
-
-Floats = NDArray[np.float64]
 
 
 class Effect(ABC):

@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from zenostat.bridge.faults.effects import ACTUATOR_EFFECTS, SENSOR_EFFECTS, Effect, Floats, clipped
+from zenostat.bridge.faults.effects import ACTUATOR_EFFECTS, SENSOR_EFFECTS, Effect, clipped
 from zenostat.bridge.faults.random_streams import EpisodeKeys, RandomStream
 from zenostat.bridge.faults.schedule import FaultSchedule, FaultTransition, StepGrid
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import ErrorCollector, InvalidConfig, did_you_mean
 from zenostat.topics.fault_plan import FaultPlan, PointFault, Stuck
 from zenostat.topics.messages import Actuator

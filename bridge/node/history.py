@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.topics import codec
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import RequestRejected
 from zenostat.topics.messages import Actuator, HistoryQuery, HistorySeries, Meter, Sensor
 from zenostat.topics.points import PointIndex
@@ -21,7 +22,6 @@ from zenostat.topics.points import PointIndex
 if TYPE_CHECKING:
     from zenostat.bridge.node.plant import PlantDescription
 
-Floats = NDArray[np.float64]
 
 MAX_REPLY_BYTES = 4 << 20
 """Largest number of bytes of values in a reply."""

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from threading import Lock
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.bridge.client.sample import SampleView
 from zenostat.gateways.boptest.points import KELVIN
@@ -21,9 +20,8 @@ from zenostat.metrics.kpis import CO2_LIMIT_PPM
 from zenostat.metrics.roles import ZoneRoles, roles
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Manifest
-
-Floats = NDArray[np.float64]
 
 _ZONE_CO2 = "zone air co2 concentration"
 

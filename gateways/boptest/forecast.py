@@ -7,7 +7,6 @@ from math import floor
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.gateways.boptest import forecast_errors
 from zenostat.gateways.boptest.baseline import Baseline, ZoneSchedules
@@ -15,8 +14,7 @@ from zenostat.gateways.boptest.parsing import BadRequest, unknown_names
 from zenostat.gateways.boptest.prices import Rates, rate_at
 from zenostat.gateways.boptest.simulation import YEAR_S, wrapped
 from zenostat.gateways.boptest.weather import Weather
-
-Floats = NDArray[np.float64]
+from zenostat.topics.arrays import Floats
 
 UNCERTAIN = {"TDryBul": "temperature_uncertainty", "HGloHor": "solar_uncertainty"}
 """The points that have errors, with the field of the scenario that has their level."""

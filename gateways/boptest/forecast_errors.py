@@ -9,9 +9,8 @@ BOPTEST, so that one seed gives one forecast.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from zenostat.topics.arrays import Floats
 
 LEVELS = ("low", "medium", "high")
 

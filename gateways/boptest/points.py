@@ -11,13 +11,11 @@ from dataclasses import dataclass
 from math import pi
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig, repeated
 from zenostat.topics.messages import Actuator, Manifest, Meter, Sensor
 from zenostat.topics.points import bounds
-
-Floats = NDArray[np.float64]
 
 KELVIN = 273.15
 

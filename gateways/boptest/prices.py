@@ -6,13 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.gateways.boptest.simulation import moment
 from zenostat.metrics.fuel_rates import FuelRate, Rate, read_emissions, read_prices
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig, did_you_mean
-
-Floats = NDArray[np.float64]
 
 ELECTRICITY_PRICES = {"constant": "Constant", "dynamic": "Dynamic", "highly_dynamic": "HighlyDynamic"}
 """The price scenarios, with the end of their points' names."""

@@ -15,17 +15,15 @@ from typing import Any
 from weakref import WeakSet
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.bridge.client.bus import Bus, connect
 from zenostat.bridge.client.local_node import LocalNode
 from zenostat.bridge.client.node_arguments import for_node
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import CommandOp, CreateBranch, Manifest, Mode
-
-Floats = NDArray[np.float64]
 
 DAY_S = 86400
 YEAR = datetime(2017, 1, 1)

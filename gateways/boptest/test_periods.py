@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.gateways.boptest.simulation import DAY_S, Building, Interruption
+from zenostat.topics.arrays import Floats
 from zenostat.topics.energyplus_names import END_USES
 from zenostat.topics.messages import Manifest
-
-Floats = NDArray[np.float64]
 
 TIME_PERIODS = ("peak_heat_day", "typical_heat_day", "peak_cool_day", "typical_cool_day", "mix_day")
 WARMUP_S = 7 * DAY_S

@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.gateways.boptest.points import KELVIN
 from zenostat.gateways.boptest.simulation import DAY_S, YEAR_S, wrapped
-
-Floats = NDArray[np.float64]
+from zenostat.topics.arrays import Floats
 
 _COLUMNS = {
     "TDryBul": ("dry_bulb_temperature", 1.0, KELVIN, "K", "Dry bulb temperature"),

@@ -13,11 +13,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Manifest
 
 Actions = NDArray[np.float32]
-Floats = NDArray[np.float64]
 
 LONGEST_CHANGE_H = 12.0
 _RESOLUTION = 32.0

@@ -17,13 +17,13 @@ import numpy as np
 
 from zenostat.lab.benchmark.bound_moves import (
     Actions,
-    Floats,
     SequenceSpace,
     Windows,
     changed,
     changed_plans,
     combine,
 )
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import SimulatorError
 
 BATCH = 8

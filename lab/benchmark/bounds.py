@@ -23,7 +23,7 @@ from zenostat.agent_sdk.controllers.base import BaselineController
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.lab.benchmark.bound_file import Bound, bound_path, definition_of, load_bound, packed
-from zenostat.lab.benchmark.bound_moves import Actions, Floats, SequenceSpace
+from zenostat.lab.benchmark.bound_moves import Actions, SequenceSpace
 from zenostat.lab.benchmark.bound_search import Best, Simulated, search
 from zenostat.lab.benchmark.definition import BASELINE, BASELINES, SETS, TUNED, Task, is_prepared
 from zenostat.lab.benchmark.episodes import LinearReward, make_task_controller
@@ -31,6 +31,7 @@ from zenostat.lab.benchmark.prepared import Preparation, check_published
 from zenostat.lab.benchmark.results import NEEDED_VERSIONS, changed_versions, current_versions
 from zenostat.lab.benchmark.selection import Selection
 from zenostat.lab.evaluate import run_episode
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 from zenostat.topics.file_lock import locked
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from zenostat.topics.arrays import Floats
 
 _SINGULAR = 1e-9
 """Ratio of singular values below which a direction has no effect."""

@@ -21,7 +21,6 @@ from zenostat.lab.calibration.objective import (
     ColumnErrors,
     Compared,
     Days,
-    Floats,
     Hours,
     check_comparable,
     column_errors,
@@ -40,6 +39,7 @@ from zenostat.lab.calibration.trials import (
     study_folder,
 )
 from zenostat.lab.workers import RunAll, worker_pool
+from zenostat.topics.arrays import Floats
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.json_numbers import finite

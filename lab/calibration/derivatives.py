@@ -22,13 +22,11 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.lab.calibration.config import Calibration, Parameter
 from zenostat.lab.calibration.measured import MeasuredData
 from zenostat.lab.calibration.objective import Hours, compare
-
-Floats = NDArray[np.float64]
+from zenostat.topics.arrays import Floats
 
 STEP = 0.1
 """Step of the differences, as share of a range."""

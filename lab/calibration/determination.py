@@ -28,14 +28,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.lab.calibration.bounded_minimum import bounded_minimum
 from zenostat.lab.calibration.config import Calibration, Parameter
 from zenostat.lab.calibration.derivatives import Derivatives
 from zenostat.lab.calibration.objective import Compared, Scales
-
-Floats = NDArray[np.float64]
+from zenostat.topics.arrays import Floats
 
 _NORMAL_95 = 1.959963984540054
 _AT_END = 0.01

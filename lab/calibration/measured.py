@@ -13,14 +13,12 @@ from typing import Protocol
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.lab.calibration.config import Calibration, Column
 from zenostat.lab.calibration.headings import Heading, read_headings, read_rows
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.units import conversion, quantity, units_of
-
-Floats = NDArray[np.float64]
 
 _HOUR = timedelta(hours=1)
 _DAY = timedelta(days=1)

@@ -16,13 +16,12 @@ from datetime import date
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.lab.calibration.measured import MeasuredColumn, MeasuredData, bounds
 from zenostat.metrics.calibration_errors import HOURLY, MONTHLY, FitErrors, fit_errors
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig
 
-Floats = NDArray[np.float64]
 Days = tuple[date, date]
 
 Hours = Mapping[Days, Floats]

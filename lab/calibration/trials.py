@@ -22,10 +22,11 @@ import numpy as np
 from zenostat.bridge.engine.system_calls import die_with_parent
 from zenostat.lab.calibration.config import Calibration
 from zenostat.lab.calibration.measured import MeasuredData
-from zenostat.lab.calibration.objective import Days, Floats, Hours, Scales, column_errors, compare, objective
+from zenostat.lab.calibration.objective import Days, Hours, Scales, column_errors, compare, objective
 from zenostat.lab.tuning.search_space import ask
 from zenostat.lab.tuning.study_config import Pruner, starting_point
 from zenostat.lab.workers import RunAll
+from zenostat.topics.arrays import Floats
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidConfig, SimulatorError
 from zenostat.topics.extras import requires_extra

@@ -19,9 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.models.weather.header import HEADER_LINES, Header, has_record, parse_header
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean, list_errors
-
-Floats = NDArray[np.float64]
 
 WIDTH = 35
 MIN_WIDTH = 32

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from zenostat.models.weather.epw import NUMBER_COLUMNS, Floats, Weather, find_column
+from zenostat.models.weather.epw import NUMBER_COLUMNS, Weather, find_column
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig
 
 _FIRST_COLUMN = 6

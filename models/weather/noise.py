@@ -27,8 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, field_validator, model_validator
 
-from zenostat.models.weather.epw import COLUMNS, Column, Floats, Weather, find_column
+from zenostat.models.weather.epw import COLUMNS, Column, Weather, find_column
 from zenostat.models.weather.psychrometrics import clear_sky_infrared, dew_point, relative_humidity
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.points import bounds, check_order
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from zenostat.models.weather.epw import COLUMNS, Floats
+from zenostat.models.weather.epw import COLUMNS
+from zenostat.topics.arrays import Floats
 
 _A, _B_C, _ES_PA = 17.625, 243.04, 610.94
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from zenostat.models.weather.epw import Floats
 from zenostat.models.weather.header import read_header
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig
 
 _YEAR_DAYS = 365

@@ -17,9 +17,7 @@ DAY_S = 86400.0
 
 
 @pytest.mark.parametrize(("days", "expected"), [(40, [10, 37, 40]), (20, [17, 20]), (1, [1])])
-def test_expiry_watch__warns_30_and_3_days_before_and_at_the_end(
-    days: int, expected: list[int]
-) -> None:
+def test_expiry_watch__warns_30_and_3_days_before_and_at_the_end(days: int, expected: list[int]) -> None:
     begin, clock = datetime(2030, 1, 1, tzinfo=UTC), Clock()
     certificate: Any = SimpleNamespace(expires=begin + timedelta(days=days), warning="expires")
     calls: list[Any] = []

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from support.coupled_plants import FakeCoupled, district_file, free, manifest_of, orchestrated
 
-from zenostat.cosim.coupled import Floats, GuardedPlant, Rows
+from zenostat.cosim.coupled import GuardedPlant, Rows
 from zenostat.cosim.file import OnLost
 from zenostat.cosim.orchestrator import Orchestrator
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import EngineDied, NodeLost, PlantFailed
 
 STEPS = 8

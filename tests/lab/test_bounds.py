@@ -21,7 +21,6 @@ from zenostat.lab.benchmark import SETS, Results, Row, Task, bound_search, load_
 from zenostat.lab.benchmark.bound_file import Bound, bound_path, definition_of, load_bound, load_bounds, packed
 from zenostat.lab.benchmark.bound_moves import (
     Actions,
-    Floats,
     SequenceSpace,
     Windows,
     changed,
@@ -32,6 +31,7 @@ from zenostat.lab.benchmark.bound_search import BATCH, Best, Simulated, search
 from zenostat.lab.benchmark.bounds import BoundTask, check_bound, improve_bound, tasks_of
 from zenostat.lab.benchmark.gap import gap_share, gap_table, tables_with_gap
 from zenostat.lab.benchmark.tables import tables
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig, SimulatorError, UnknownName
 
 DAY = 24

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 
 from zenostat.cosim.binding import Binding, bind
-from zenostat.cosim.coupled import Floats, GuardedPlant, Rows
+from zenostat.cosim.coupled import GuardedPlant, Rows
 from zenostat.cosim.file import DistrictFile, OnLost, read_district
 from zenostat.cosim.orchestrator import Orchestrator
 from zenostat.cosim.topology import check_file
 from zenostat.topics import VERSION
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import NodeLost
 from zenostat.topics.messages import Actuator, Manifest, Meter, Mode, Policy, Sensor, Versions
 

@@ -8,12 +8,13 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Geometry
 from zenostat.views.display.colors import UNKNOWN, comfort_colors
 from zenostat.views.display.surfaces import sun_direction
 from zenostat.views.live.meshes import BuildingModel, Mesh
 from zenostat.views.live.recording import EpisodeLog
-from zenostat.views.live.samples import Floats, SampleBlock
+from zenostat.views.live.samples import SampleBlock
 
 BUILDING = "building"
 QUANTUM_K = 0.25

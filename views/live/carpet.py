@@ -7,12 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Manifest
 from zenostat.views.display.colors import RGB, comfort_colors
 from zenostat.views.live.comfort_scale import comfort_legend
 from zenostat.views.live.recording import EpisodeLog
 from zenostat.views.live.row_picture import EMPTY, Columns, RowPicture
-from zenostat.views.live.samples import Floats, SampleBlock
+from zenostat.views.live.samples import SampleBlock
 
 CARPET = "zones_over_time"
 WITHIN_COLOR: RGB = (116, 124, 118)  # darker than in other pictures: lit rows would outshine the deviations

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from zenostat.metrics.comfort import Comfort
 from zenostat.metrics.roles import PointRoles
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Geometry, Manifest, Sample
 from zenostat.views.live.building_view import BuildingView
 from zenostat.views.live.carpet import CarpetView
@@ -19,7 +20,7 @@ from zenostat.views.live.comfort_scale import ComfortScale
 from zenostat.views.live.grid_series import grid_series
 from zenostat.views.live.meshes import BuildingModel
 from zenostat.views.live.recording import EpisodeLog, episode_path
-from zenostat.views.live.samples import BlockReader, Floats, RewardTerms, SampleBlock
+from zenostat.views.live.samples import BlockReader, RewardTerms, SampleBlock
 from zenostat.views.live.series import REWARD, Lines, Series, all_series, reward_lines, vectors
 from zenostat.views.live.summary import NUMBERS, NodeNumbers, NodeStatus, markdown, numbers_of
 from zenostat.views.live.totals import TotalRows, Totals

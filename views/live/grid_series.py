@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from zenostat.metrics.labels import label
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Manifest
 from zenostat.views.display.colors import RGB, zone_color
-from zenostat.views.live.samples import Floats, SampleBlock
+from zenostat.views.live.samples import SampleBlock
 from zenostat.views.live.series import Compute, Series
 
 LOADING, VOLTAGE, DRAWN = "grid/loading", "grid/voltage", "grid/power"

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from zenostat.topics import codec
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import HistoryQuery, HistorySeries, Manifest
-from zenostat.views.live.samples import Floats
 
 _MAX_POINTS = 1000
 """Largest number of points in a query."""

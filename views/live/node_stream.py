@@ -9,13 +9,14 @@ import numpy as np
 import rerun as rr
 
 from zenostat.metrics.roles import roles
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import BadMessage, InvalidConfig
 from zenostat.topics.messages import AlarmChange, AlarmState, Event, EventKind, Geometry, Manifest, Sample
 from zenostat.views.live.episode import EpisodeView, NodeModel
 from zenostat.views.live.layout import EVENTS
 from zenostat.views.live.meshes import building_model
 from zenostat.views.live.recording import EpisodeLog, episode_path
-from zenostat.views.live.samples import ComfortFactory, Floats, RewardFactory
+from zenostat.views.live.samples import ComfortFactory, RewardFactory
 from zenostat.views.live.summary import NodeNumbers, NodeStatus
 
 _WARNINGS = (

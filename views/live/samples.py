@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from zenostat.metrics.comfort import Comfort, deviations
 from zenostat.topics import codec
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Manifest, Sample
-
-Floats = NDArray[np.float64]
 
 BASELINE = "baseline control"
 """Name of the value source of actuators that nobody sets."""

@@ -12,10 +12,11 @@ from rerun.components import AggregationPolicy, InterpolationMode
 
 from zenostat.metrics.labels import label, point_unit, unit_label
 from zenostat.metrics.roles import EndUse, PointRoles, PowerSource
+from zenostat.topics.arrays import Floats
 from zenostat.topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT
 from zenostat.topics.messages import Actuator, Manifest
 from zenostat.views.display.colors import OUTDOOR, RGB, end_use_color, zone_color
-from zenostat.views.live.samples import Floats, SampleBlock
+from zenostat.views.live.samples import SampleBlock
 from zenostat.views.live.totals import TotalRows
 
 COLDEST: RGB = (45, 125, 235)

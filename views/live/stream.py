@@ -21,6 +21,7 @@ from zenoh.handlers import RingChannel
 from zenostat.bridge.transport.request import send_request
 from zenostat.metrics.comfort import default_comfort
 from zenostat.topics import codec, keys
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import BadMessage, ZenostatError
 from zenostat.topics.messages import (
     SCHEMA_VERSION,
@@ -40,7 +41,7 @@ from zenostat.views.live.history import read_history
 from zenostat.views.live.layout import OVERVIEW, blueprint
 from zenostat.views.live.node_stream import PRESENT, NodeStream
 from zenostat.views.live.recording import entity_path, write_out
-from zenostat.views.live.samples import ComfortFactory, Floats, RewardFactory
+from zenostat.views.live.samples import ComfortFactory, RewardFactory
 from zenostat.views.live.summary import NodeRow, NodeStatus, overview
 
 RING = 65536

@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from zenostat.metrics.roles import PointRoles
+from zenostat.topics.arrays import Floats
 from zenostat.topics.plurals import counted
-from zenostat.views.live.samples import BASELINE, Floats, SampleBlock
+from zenostat.views.live.samples import BASELINE, SampleBlock
 from zenostat.views.live.totals import TotalRows
 
 NUMBERS = "numbers"

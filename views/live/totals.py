@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from zenostat.metrics.roles import EndUse, PointRoles, PowerSource
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Manifest
-from zenostat.views.live.samples import Floats, SampleBlock
+from zenostat.views.live.samples import SampleBlock
 
 
 @dataclass(frozen=True, eq=False)

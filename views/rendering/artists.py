@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon, Rectangle
 from numpy.typing import NDArray
 
-from zenostat.views.rendering.data import Floats
+from zenostat.topics.arrays import Floats
 from zenostat.views.rendering.text import Color
 
 Dash = Literal["-", "--"]

@@ -6,13 +6,11 @@ from datetime import datetime, timedelta
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.agent_sdk.envs.episode_history import EpisodeHistory
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Manifest
 from zenostat.views.rendering.scale import time_ticks
-
-Floats = NDArray[np.float64]
 
 
 class Window:

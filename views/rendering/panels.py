@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from zenostat.topics.arrays import Floats
 from zenostat.views.rendering import artists
 from zenostat.views.rendering.artists import HEIGHT, INK, LEFT, MUTED, RIGHT, WIDTH, Dash
-from zenostat.views.rendering.data import Floats, Window, highest, lowest, median
+from zenostat.views.rendering.data import Window, highest, lowest, median
 from zenostat.views.rendering.scale import format_range, format_tick, format_value, round_scale
 from zenostat.views.rendering.text import Color, Pixels, Style, TextPainter
 

@@ -12,12 +12,13 @@ from zenostat.agent_sdk.rewards import Reward
 from zenostat.metrics.labels import label, point_unit, unit_label
 from zenostat.metrics.reward_comfort import comfort, display_comfort
 from zenostat.metrics.roles import PointRoles, roles
+from zenostat.topics.arrays import Floats
 from zenostat.topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT, THERMOSTAT
 from zenostat.topics.messages import Action, Actuator, DiscreteAction, Manifest
 from zenostat.topics.units import power_kw, quantity
 from zenostat.views.display.colors import zone_color
 from zenostat.views.rendering.artists import Dash
-from zenostat.views.rendering.data import Floats, Window
+from zenostat.views.rendering.data import Window
 from zenostat.views.rendering.panels import Curve, Panel, Spread, Values
 from zenostat.views.rendering.scale import format_value
 from zenostat.views.rendering.text import Color

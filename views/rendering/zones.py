@@ -11,9 +11,10 @@ from typing_extensions import override
 
 from zenostat.metrics.comfort import Comfort
 from zenostat.metrics.roles import ZoneRoles
+from zenostat.topics.arrays import Floats
 from zenostat.views.display.colors import zone_color
 from zenostat.views.rendering import artists
-from zenostat.views.rendering.data import Floats, Window, finite
+from zenostat.views.rendering.data import Window, finite
 from zenostat.views.rendering.panels import Curve, Panel, Row, Spread, Values
 from zenostat.views.rendering.scale import format_range, format_value
 from zenostat.views.rendering.text import Color

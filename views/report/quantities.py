@@ -19,8 +19,8 @@ from zenostat.metrics.episode_weather import EpisodeWeather
 from zenostat.metrics.reward_comfort import comfort, display_comfort
 from zenostat.metrics.roles import EndUse, PointRoles, PowerSource, roles
 from zenostat.metrics.trajectory import Trajectory
+from zenostat.topics.arrays import Floats
 
-Floats = NDArray[np.float64]
 Times = NDArray[Any]
 """Arrays of `datetime64`: days, months or seconds."""
 HOUR_S = 3600.0

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from zenostat.views.report.quantities import Floats, Times
+from zenostat.topics.arrays import Floats
+from zenostat.views.report.quantities import Times
 from zenostat.views.report.theme import LIGHT
 
 CODE = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/"

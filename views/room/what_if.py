@@ -16,7 +16,6 @@ from datetime import datetime, timedelta
 from typing import Annotated, Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from zenostat.agent_sdk.controllers import Agent, Values
@@ -25,6 +24,7 @@ from zenostat.bridge.client.command_publisher import CommandArrays
 from zenostat.bridge.client.controller_link import ControllerLink, open_link
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics import codec, keys
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import BadMessage, InvalidAction, InvalidConfig, RequestRejected, ZenostatError
 from zenostat.topics.messages import Ack, CommandOp, CreateBranch, Manifest, Sample, SimulatePlan, Write
 from zenostat.topics.plurals import counted
@@ -39,8 +39,6 @@ ANSWER_LIMIT_S = 30.0
 """Time that a controller has for each sample; some compile on their first."""
 
 _REPLY_BYTES = codec.MAX_BYTES // 2
-
-Floats = NDArray[np.float64]
 
 
 class WhatIf(RoomRequest):

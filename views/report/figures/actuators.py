@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from zenostat.metrics.labels import label, unit_label
+from zenostat.topics.arrays import Floats
 from zenostat.topics.energyplus_names import THERMOSTAT
 from zenostat.views.report.figures.base import (
     LONG_DAYS,
@@ -19,7 +20,6 @@ from zenostat.views.report.figures.base import (
     legend_text,
     mark_days,
 )
-from zenostat.views.report.quantities import Floats
 from zenostat.views.report.readings import Series, read_lines, read_series
 from zenostat.views.report.theme import LIGHT, series_color
 

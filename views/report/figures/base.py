@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from zenostat.metrics.labels import MONTHS, date_label
-from zenostat.views.report.quantities import Floats, Quantities, Times
+from zenostat.topics.arrays import Floats
+from zenostat.views.report.quantities import Quantities, Times
 from zenostat.views.report.theme import FULL_IN, series_color, series_dashes, style
 
 Days = Floats

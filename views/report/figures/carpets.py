@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zenostat.topics.arrays import Floats
 from zenostat.views.display.colors import COMFORT_RANGE_K, comfort_colors
 from zenostat.views.report.figures.base import Curve, Figure, draw, mark_days
-from zenostat.views.report.quantities import Floats, Times, by_hour
+from zenostat.views.report.quantities import Times, by_hour
 from zenostat.views.report.readings import read_cells
 from zenostat.views.report.theme import LIGHT
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from zenostat.topics.arrays import Floats
 from zenostat.topics.plurals import counted
 from zenostat.views.report.figures.base import Curve, Figure, draw, legend_above, legend_text
-from zenostat.views.report.quantities import Floats
 from zenostat.views.report.theme import LIGHT
 
 _MAX_ZONES = 24

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from zenostat.topics.arrays import Floats
 from zenostat.views.display.colors import end_use_color, hex_color
 from zenostat.views.report.figures.base import (
     Curve,
@@ -19,7 +20,7 @@ from zenostat.views.report.figures.base import (
     quiet,
     text_width,
 )
-from zenostat.views.report.quantities import EndUseEnergy, Floats, by_period, load_duration
+from zenostat.views.report.quantities import EndUseEnergy, by_period, load_duration
 from zenostat.views.report.readings import read_lines
 from zenostat.views.report.theme import LIGHT
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from zenostat.metrics.episode_weather import EpisodeWeather
+from zenostat.topics.arrays import Floats
 from zenostat.views.report.figures.base import (
     LEGEND_ROW_PT,
     LONG_DAYS,
@@ -19,7 +20,6 @@ from zenostat.views.report.figures.base import (
     legend_text,
     mark_days,
 )
-from zenostat.views.report.quantities import Floats
 from zenostat.views.report.readings import read_lines
 from zenostat.views.report.theme import LIGHT, series_color, series_dashes
 
