@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ipaddress
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -31,6 +32,7 @@ from zenostat.bridge.transport.certificate_files import (
 )
 from zenostat.bridge.transport.name_list import (
     CERTIFIED,
+    NAMES,
     Names,
     check_new_name,
     check_roles,
@@ -217,7 +219,10 @@ def show(folder: Path) -> list[Certificate]:
     """Return the certificates of a folder: authority first, then by role and name."""
     authority = read_certificate(folder / f"{AUTHORITY}.pem")
     paths = [path for path in sorted(folder.glob("*.pem")) if _is_certificate(path)]
-    certificates = [_shown(path, authority) for path in paths]
+    listed: Names | None = None  # where there is no list that can be used, as in a program's own folder
+    with suppress(InvalidConfig):
+        listed = read_names(folder, authority)
+    certificates = [_shown(path, authority, listed) for path in paths]
     return sorted(certificates, key=lambda c: (CERTIFIED.index(c.roles[0]) if c.roles else -1, c.name))
 
 
@@ -246,10 +251,23 @@ def expired_on(expires: datetime) -> str:
     return f"expired on {expires:{_MINUTE}}; {_RENEW}"
 
 
-def _shown(path: Path, authority: x509.Certificate) -> Certificate:
-    described, key = _described(path.stem, read_certificate(path), authority), path.with_suffix(".key")
-    fault = open_to_others(key)
-    return described if described.fault or not fault else replace(described, fault=f"{key.name} {fault}")
+def _shown(path: Path, authority: x509.Certificate, listed: Names | None) -> Certificate:
+    certificate, key = read_certificate(path), path.with_suffix(".key")
+    described = _described(path.stem, certificate, authority)
+    if described.fault:
+        return described
+    if fault := open_to_others(key):
+        return replace(described, fault=f"{key.name} {fault}")
+    if listed is not None and path.stem != AUTHORITY and (holder := _holder(certificate)) not in listed:
+        return replace(
+            described, fault=f"{holder!r} is not in {NAMES}, so no node accepts it; add it: zenostat keys add"
+        )
+    return described
+
+
+def _holder(certificate: x509.Certificate) -> str:
+    """Return the common name of a certificate."""
+    return str(certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)[0].value)
 
 
 def identity(folder: Path, role: Role | None, name: str | None = None) -> Identity:
@@ -288,8 +306,7 @@ def identity(folder: Path, role: Role | None, name: str | None = None) -> Identi
         errors.errors.append(InvalidConfig(f"{path} is that of a node; another program connects with its own"))
     errors.collect(lambda: _check_key(key, certificate))
     errors.raise_if_any()
-    holder = str(certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)[0].value)
-    return Identity(folder / f"{AUTHORITY}.pem", path, key, holder, described.roles, described.expires)
+    return Identity(folder / f"{AUTHORITY}.pem", path, key, _holder(certificate), described.roles, described.expires)
 
 
 # Creation

@@ -17,6 +17,7 @@ from support.run_cli import run_program
 from zenostat.bridge.transport import certificates
 from zenostat.bridge.transport.certificates import add, identity, make, names_of, show
 from zenostat.bridge.transport.deny_list import REVOKED, DenyList, read_revoked, revoke
+from zenostat.bridge.transport.name_list import NAMES
 from zenostat.bridge.transport.session import open_session
 from zenostat.topics.errors import InvalidConfig, UnknownName
 from zenostat.topics.keys import Role
@@ -221,6 +222,18 @@ def test_certificates__certificate_that_is_not_there(pki: Path) -> None:
         identity(pki, Role.CONTROLLER, "contoller")
     with pytest.raises(InvalidConfig, match="zenostat keys init"):
         identity(pki / "nowhere", Role.NODE)
+
+
+def test_certificates__name_that_is_not_in_the_list_is_a_fault(tmp_path: Path) -> None:
+    make(tmp_path)
+    listed = (tmp_path / NAMES).read_bytes()
+    add(tmp_path, Role.OPERATOR, "otherman")
+    (tmp_path / NAMES).write_bytes(listed)
+    faults = {each.name: each.fault for each in show(tmp_path)}
+    assert faults.pop("otherman") == "'otherman' is not in names.json, so no node accepts it; add it: zenostat keys add"
+    assert {*faults.values()} == {""}
+    (tmp_path / NAMES).unlink()  # a program's own folder has none
+    assert {each.fault for each in show(tmp_path)} == {""}
 
 
 def test_certificates__expired_certificate(pki: Path, monkeypatch: pytest.MonkeyPatch) -> None:
