@@ -95,7 +95,7 @@ class RecordingReader:
         except OSError as error:
             raise InvalidRecording(f"cannot read {self.path}: {error.strerror}") from None
         except InvalidConfig as error:
-            raise InvalidRecording(f"cannot read {error}") from None
+            raise InvalidRecording(str(error)) from None
         try:
             self._size = self.path.stat().st_size
             self._read_head()
