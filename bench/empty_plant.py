@@ -11,24 +11,20 @@ from array import array
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from math import nan
-from pathlib import Path
 from typing import Any
 
 from zenostat.bridge.node.node import Node
 from zenostat.bridge.node.plant import (
     Plant,
     PlantContext,
+    PlantDefaults,
     PlantDescription,
-    RunningPlant,
     RunPeriod,
-    Site,
-    WeatherTable,
-    without_weather,
 )
 from zenostat.bridge.node.program import main
 from zenostat.bridge.node.settings import NodeSettings
 from zenostat.topics import VERSION
-from zenostat.topics.errors import ForkFailed, InvalidConfig
+from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Action, Actuator, EngineStart, EpisodeStart, Sensor, Task, Versions
 
 BEGIN, STEP_S, STEPS = datetime(2001, 1, 1), 1.0, 1_000_000_000
@@ -50,7 +46,7 @@ def describe(steps: int) -> PlantDescription:
     )
 
 
-class EmptyPlant:
+class EmptyPlant(PlantDefaults):
     """A plant whose sensor shows the latest command: 0.0 while there is none, and the seed at sample 0.
 
     Args:
@@ -58,7 +54,6 @@ class EmptyPlant:
         context: of the node.
     """
 
-    has_baseline = False
     simulators = 0
 
     def __init__(self, steps: int, context: PlantContext) -> None:
@@ -98,57 +93,6 @@ class EmptyPlant:
     def values(self) -> bytes:
         """Return the sensors."""
         return self._values.tobytes()
-
-    def baseline_values(self) -> bytes:
-        """Return nothing."""
-        return b""
-
-    def baseline_effective(self) -> bytes:
-        """Return nothing."""
-        return b""
-
-    def check(self) -> None:
-        """Do nothing: no process can end."""
-
-    def fork(self, slots: Sequence[int], folder: Path, *, baseline: bool = False) -> RunningPlant:
-        """Refuse."""
-        raise ForkFailed("the empty plant cannot be copied")
-
-    def restore(self, saved: RunningPlant, episode: Sequence[int]) -> list[EpisodeStart]:
-        """Refuse; without a fork there is nothing to restore."""
-        raise ForkFailed("the empty plant cannot be copied")
-
-    def site(self, slot: int) -> Site:
-        """Return an empty site."""
-        return Site()
-
-    def notes(self, slot: int) -> list[str]:
-        """Return no texts."""
-        return []
-
-    def weather(self, slot: int, columns: Sequence[str]) -> WeatherTable:
-        """Refuse."""
-        raise without_weather()
-
-    def memory_bytes(self, *, private: bool = False) -> int:
-        """Return 0: its memory is the node's."""
-        return 0
-
-    def clean_up(self) -> None:
-        """Do nothing."""
-
-    def drain_warnings(self) -> list[str]:
-        """Return no warnings."""
-        return []
-
-    def interrupt(self) -> None:
-        """Do nothing: a step does not wait."""
-
-    def end(self, *, failed: bool = False) -> None:
-        """Do nothing."""
-
-    def close(self) -> None:
-        """Do nothing."""
 
 
 def empty_node(settings: Mapping[str, Any], plant: type[EmptyPlant] = EmptyPlant) -> Node:

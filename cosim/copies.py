@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-from zenostat.bridge.node.plant import PlantDescription, RunningPlant, Site, WeatherTable, without_weather
+from zenostat.bridge.node.plant import PlantDefaults, PlantDescription, RunningPlant, Site
 from zenostat.cosim.coupled import CoupledPlant, GuardedPlant, Rows
 from zenostat.cosim.file import OnLost
 from zenostat.cosim.trials import PlantTrials, is_short
@@ -142,7 +142,7 @@ class PlantSnapshots:
         return plants
 
 
-class DistrictCopy:
+class DistrictCopy(PlantDefaults):
     """A copy of a district with one or more slots; implements `zenostat.bridge.node.plant.RunningPlant`.
 
     Args:
@@ -153,8 +153,6 @@ class DistrictCopy:
         site: of the episode.
         notes: of the episode.
     """
-
-    has_baseline = False
 
     def __init__(
         self,
@@ -204,12 +202,6 @@ class DistrictCopy:
         for state, run in zip(self.states, self._runs, strict=True):
             yield state if run is None else run
 
-    def baseline_values(self) -> bytes:
-        """Return nothing."""
-        return b""
-
-    baseline_effective = baseline_values
-
     def fork(self, slots: Sequence[int], folder: Path, *, baseline: bool = False) -> RunningPlant:  # noqa: ARG002
         """Return a copy of slots; see `RunningPlant.fork`. Its first step repeats those of this copy."""
         states = []
@@ -242,17 +234,6 @@ class DistrictCopy:
         """Return the notes of the district's episode."""
         return self._notes
 
-    def weather(self, slot: int, columns: Sequence[str]) -> WeatherTable:  # noqa: ARG002
-        """Raise `RequestRejected`."""
-        raise without_weather()
-
-    def check(self) -> None:
-        """Do nothing: a plant that has ended is noticed in the next step."""
-
-    def memory_bytes(self, *, private: bool = False) -> int:  # noqa: ARG002
-        """Return 0: the copies belong to the plants' nodes."""
-        return 0
-
     @property
     def simulators(self) -> int:
         """Number of copied plants."""
@@ -264,9 +245,6 @@ class DistrictCopy:
         for run in self._runs:
             for plant in run.plants.values() if run is not None else ():
                 plant.plant.interrupt()
-
-    def end(self, *, failed: bool = False) -> None:
-        """Do nothing: the branches end with `close`."""
 
     def close(self) -> None:
         """End the branches, and release the snapshots; idempotent."""

@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from zenostat.bridge.node.plant import (
+    PlantDefaults,
     PlantDescription,
     Provenance,
     RunningPlant,
     Site,
-    WeatherTable,
-    without_weather,
 )
 from zenostat.cosim.binding import Binding
 from zenostat.cosim.copies import DistrictCopy, PlantSnapshots, PlantSource
@@ -157,7 +156,7 @@ def _task(binding: Binding, name: str, actuators: set[str], reward: dict[str, An
     return Task(scenario=name, time=first.time, actions=tuple(actions), reward=reward)
 
 
-class DistrictPlant:
+class DistrictPlant(PlantDefaults):
     """A district as the plant of a node; implements `zenostat.bridge.node.plant.RepeatablePlant` for one slot.
 
     Args:
@@ -171,8 +170,6 @@ class DistrictPlant:
     Attributes:
         lost_steps: of a verification: number of steps in which a plant was lost, by the recording.
     """
-
-    has_baseline = False
 
     def __init__(
         self,
@@ -282,14 +279,6 @@ class DistrictPlant:
 
     drain_step_warnings = drain_warnings
 
-    # What a district does not have
-
-    def baseline_values(self) -> bytes:
-        """Return nothing."""
-        return b""
-
-    baseline_effective = baseline_values
-
     def site(self, slot: int) -> Site:  # noqa: ARG002
         """Return the site of the first plant that has one."""
         for m in self._binding.members.values():
@@ -301,10 +290,6 @@ class DistrictPlant:
     def notes(self, slot: int) -> list[str]:  # noqa: ARG002
         """Return the names of the plants."""
         return [f"plants: {', '.join(self._plants)}"]
-
-    def weather(self, slot: int, columns: Sequence[str]) -> WeatherTable:  # noqa: ARG002
-        """Raise `RequestRejected`."""
-        raise without_weather()
 
     # Snapshots and branches
 
@@ -353,15 +338,6 @@ class DistrictPlant:
 
     # Processes
 
-    def check(self) -> None:
-        """Do nothing: a plant that has ended is noticed in the next step."""
-
-    clean_up = check
-
-    def memory_bytes(self, *, private: bool = False) -> int:  # noqa: ARG002
-        """Return 0: the plants' processes belong to their nodes."""
-        return 0
-
     @property
     def simulators(self) -> int:
         """Number of plants."""
@@ -377,9 +353,6 @@ class DistrictPlant:
         """End or leave the plants' nodes, which are started or joined again; see `AbandonablePlant`."""
         self._abandoned = reason
         self.interrupt()
-
-    def end(self, *, failed: bool = False) -> None:
-        """Do nothing: the nodes wait for the next episode."""
 
     def close(self) -> None:
         """End the plants' nodes, or leave them; idempotent."""

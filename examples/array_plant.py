@@ -11,23 +11,18 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from datetime import datetime
-from pathlib import Path
 
 import numpy as np
 
 from zenostat.bridge.node.node import Node
 from zenostat.bridge.node.plant import (
     PlantContext,
+    PlantDefaults,
     PlantDescription,
-    RunningPlant,
     RunPeriod,
-    Site,
-    WeatherTable,
-    without_weather,
 )
 from zenostat.bridge.node.settings import NodeSettings
 from zenostat.topics import VERSION
-from zenostat.topics.errors import ForkFailed
 from zenostat.topics.messages import Action, Actuator, EngineStart, EpisodeStart, Meter, Sensor, Task, Versions
 
 STEP_S, AMBIENT_DEGC, CAPACITY_J_K, LOSS_W_K = 60.0, 20.0, 8.4e5, 2.0
@@ -43,11 +38,10 @@ DESCRIPTION = PlantDescription(
 )
 
 
-class Tanks:
+class Tanks(PlantDefaults):
     """One tank per slot: C dT/dt = heater - loss (T - ambient), solved exactly for constant power over a timestep."""
 
     description = DESCRIPTION
-    has_baseline = False
 
     def __init__(self, context: PlantContext) -> None:
         self.simulators = context.slots
@@ -97,50 +91,6 @@ class Tanks:
     def effective(self) -> bytes:
         """Power of each heater."""
         return self._heater.tobytes()
-
-    # What this plant does not have: baseline, weather, copies, processes
-
-    def baseline_values(self) -> bytes:
-        """Return nothing."""
-        return b""
-
-    baseline_effective = baseline_values
-
-    def site(self, slot: int) -> Site:  # noqa: ARG002
-        """Return an empty site."""
-        return Site()
-
-    def notes(self, slot: int) -> list[str]:  # noqa: ARG002
-        """Return no texts."""
-        return []
-
-    def weather(self, slot: int, columns: Sequence[str]) -> WeatherTable:  # noqa: ARG002
-        """Raise `RequestRejected`."""
-        raise without_weather()
-
-    def fork(self, slots: Sequence[int], folder: Path, *, baseline: bool = False) -> RunningPlant:  # noqa: ARG002
-        """Raise `ForkFailed`."""
-        raise ForkFailed("these tanks cannot be copied")
-
-    def restore(self, saved: RunningPlant, episode: Sequence[int]) -> list[EpisodeStart]:  # noqa: ARG002
-        """Raise `ForkFailed`: there are no copies."""
-        raise ForkFailed("these tanks cannot be copied")
-
-    def memory_bytes(self, *, private: bool = False) -> int:  # noqa: ARG002
-        """Return the memory of simulator processes, of which there are none."""
-        return 0
-
-    def drain_warnings(self) -> list[str]:
-        """Return no warnings."""
-        return []
-
-    def check(self) -> None:
-        """Do nothing: no process can have ended."""
-
-    clean_up = interrupt = close = check
-
-    def end(self, *, failed: bool = False) -> None:
-        """Do nothing."""
 
 
 if __name__ == "__main__":

@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.bridge.engine.registry import EngineRegistry
-from zenostat.topics.errors import RequestRejected
+from zenostat.topics.errors import ForkFailed, RequestRejected
 from zenostat.topics.messages import Actuator, EpisodeStart, Geometry, Meter, Sensor, Systems, Task, Versions
 
 
@@ -419,3 +419,67 @@ Raises:
 def without_weather() -> RequestRejected:
     """Return the error of a plant that has no weather."""
     return RequestRejected("this plant has no weather")
+
+
+class PlantDefaults:
+    """The methods of a plant that computes in the node's process, without baseline, weather, copies and warnings.
+
+    A class that inherits them needs `description`, `simulators`, `effective`, `next_episode`, `start`, `step` and
+    `values` to be a `Plant`.
+    """
+
+    @property
+    def has_baseline(self) -> bool:
+        """False: there is no baseline."""
+        return False
+
+    def baseline_values(self) -> bytes:
+        """Return nothing: there is no baseline."""
+        return b""
+
+    def baseline_effective(self) -> bytes:
+        """Return nothing: there is no baseline."""
+        return b""
+
+    def check(self) -> None:
+        """Do nothing: no simulator ends while it waits."""
+
+    def fork(self, slots: Sequence[int], folder: Path, *, baseline: bool = False) -> RunningPlant:  # noqa: ARG002
+        """Raise `ForkFailed`."""
+        raise ForkFailed("this plant cannot be copied")
+
+    def restore(self, saved: RunningPlant, episode: Sequence[int]) -> list[EpisodeStart]:  # noqa: ARG002
+        """Raise `ForkFailed`: there are no copies."""
+        raise ForkFailed("this plant cannot be copied")
+
+    def site(self, slot: int) -> Site:  # noqa: ARG002
+        """Return an empty site."""
+        return Site()
+
+    def notes(self, slot: int) -> list[str]:  # noqa: ARG002
+        """Return no texts."""
+        return []
+
+    def weather(self, slot: int, columns: Sequence[str]) -> WeatherTable:  # noqa: ARG002
+        """Raise `RequestRejected`."""
+        raise without_weather()
+
+    def memory_bytes(self, *, private: bool = False) -> int:  # noqa: ARG002
+        """Return 0: no simulator has a process of its own."""
+        return 0
+
+    def clean_up(self) -> None:
+        """Do nothing."""
+
+    def drain_warnings(self) -> list[str]:
+        """Return no warnings."""
+        return []
+
+    def interrupt(self) -> None:
+        """Do nothing: a step does not wait."""
+
+    def end(self, *, failed: bool = False) -> None:
+        """Do nothing."""
+
+    def close(self) -> None:
+        """Do nothing."""

@@ -17,11 +17,9 @@ from zenostat.bridge.engine.lists import start_all
 from zenostat.bridge.engine.spec import EngineSpec
 from zenostat.bridge.node.plant import (
     PlantContext,
+    PlantDefaults,
     RunningPlant,
-    Site,
     SlotPlacement,
-    WeatherTable,
-    without_weather,
 )
 from zenostat.bridge.python_plant.class_plan import PYTHON, ClassPlan
 from zenostat.bridge.python_plant.kept_copies import KeptCopies
@@ -36,7 +34,7 @@ CLOSE_S = 1.0
 """Time that the `close` of a plant may take; a node ends within two seconds."""
 
 
-class PythonEngines(EngineGroup):
+class PythonEngines(EngineGroup, PlantDefaults):
     """Running processes of a plant's class: of a node, a snapshot or a branch.
 
     Args:
@@ -50,18 +48,6 @@ class PythonEngines(EngineGroup):
         self._plan, self._copy_cpus = plan, cpus
         self._numbers = itertools.count(1)
         self._kept = KeptCopies(self._copy)
-
-    def site(self, slot: int) -> Site:  # noqa: ARG002
-        """Return an empty site: the class has no weather that the node knows of."""
-        return Site()
-
-    def notes(self, slot: int) -> list[str]:  # noqa: ARG002
-        """Return no texts."""
-        return []
-
-    def weather(self, slot: int, columns: Sequence[str]) -> WeatherTable:  # noqa: ARG002
-        """Raise `RequestRejected`."""
-        raise without_weather()
 
     def drain_step_warnings(self) -> list[str]:
         """Return the warnings of the last timesteps; see `WarningPlant`."""

@@ -76,9 +76,9 @@ def test_plant__snapshots_and_branches_are_refused_in_the_plants_words(env: Buil
     """The episode continues after a refusal, and nothing of the copy remains in the status."""
     env.reset(seed=0)
     act(env, 4.0)
-    with pytest.raises(ForkFailed, match=r"^the empty plant cannot be copied$"):
+    with pytest.raises(ForkFailed, match=r"^this plant cannot be copied$"):
         env.snapshot()
-    with pytest.raises(ForkFailed, match=r"^the empty plant cannot be copied$"):
+    with pytest.raises(ForkFailed, match=r"^this plant cannot be copied$"):
         env.branch()
     assert act(env, 5.0) == (5.0, False)
     status = env.link.bus.status("plain", memory=True)

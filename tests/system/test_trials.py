@@ -281,7 +281,7 @@ def test_trial__plant_that_cannot_be_copied(scratch: Path, monkeypatch: pytest.M
     plain = {"module": "support.in_process_plant", "steps": 20}
     with node_on_bus(scratch / "a", **plain) as (_, bus), bus.controller("office") as link:
         link.reset(seed=4)
-        with pytest.raises(ForkFailed, match=r"^trial from step 0: the empty plant cannot be copied$"):
+        with pytest.raises(ForkFailed, match=r"^trial from step 0: this plant cannot be copied$"):
             link.try_step([{}])
 
 
