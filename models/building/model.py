@@ -25,7 +25,7 @@ from zenostat.models.building.external_files import with_absolute_paths
 from zenostat.models.building.run_needs import changed_timesteps, simulation_control
 from zenostat.models.building.source_lines import read_source
 from zenostat.models.catalog import Entry
-from zenostat.models.input_format.encoding import check_encoding, decode_idf
+from zenostat.models.input_format.encoding import check_encoding, decode_epjson, decode_idf
 from zenostat.models.input_format.idf_reader import idf_version
 from zenostat.models.input_format.source_model import ObjectsOfType
 from zenostat.models.run_period import Period, year_of
@@ -184,8 +184,8 @@ def read_building(entry: Entry) -> Building:
     if suffix == ".idf":
         upgraded = _read_idf(entry.path, raw, content)
     else:
-        text = raw.decode("utf-8", errors="replace")
-        upgraded = upgrade_epjson(_read_epjson(entry.path, raw), name=entry.path.name, text=text)
+        text = decode_epjson(raw, entry.path)
+        upgraded = upgrade_epjson(_parse_epjson(text, entry.path), name=entry.path.name, text=text)
     if "Building" not in upgraded.objects:
         raise InvalidConfig(f"{entry.path} is not a building model: it has no 'Building' object")
     expanded, notes = _expand(upgraded.objects, entry.path)
@@ -221,12 +221,12 @@ def _read_idf(path: Path, raw: bytes, content: str) -> UpgradedModel:
     if not is_own or "hvactemplate:" in text.casefold():
         return cached_upgrade(text, name=path.name)
     converted = cached_bytes(f"models/{content}.epJSON", lambda target: idf.convert(path, target))
-    return upgrade_epjson(_read_epjson(path, converted), name=path.name)
+    return upgrade_epjson(_parse_epjson(decode_epjson(converted, path), path), name=path.name)
 
 
-def _read_epjson(path: Path, raw: bytes) -> dict[str, Any]:
+def _parse_epjson(text: str, path: Path) -> dict[str, Any]:
     try:
-        objects = json.loads(raw)
+        objects = json.loads(text)
     except json.JSONDecodeError as error:
         place = f"line {error.lineno}, column {error.colno}"
         raise InvalidConfig(f"{path} is not an epJSON file: {place}: {error.msg}") from None

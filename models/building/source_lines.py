@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import codecs
 import re
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
-from zenostat.models.input_format.encoding import check_encoding, decode_idf
+from zenostat.models.input_format.encoding import check_encoding, decode_epjson, decode_idf
 from zenostat.models.input_format.epjson_reader import read_epjson
 from zenostat.models.input_format.idf_reader import idf_version, parse_idf
 from zenostat.models.input_format.layout import Layout, engine_layout
@@ -16,22 +15,20 @@ from zenostat.models.input_format.source_model import SourceModel, SourceObject
 from zenostat.models.upgrade.versions import STEPS, layout_of, short
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 
-_BOM = codecs.BOM_UTF8.decode("utf-8")
 _WHOLE_WORD = r"(?<![\w:.-]){}(?![\w:.-])"
 _NOT_FOUND = re.compile(r"(\w+) ?= ?([^=]+?), item not found")
 
 
 def read_source(path: Path) -> SourceModel:
     """Read an IDF, in the format of its own version, or an epJSON; an unreadable file has no objects."""
-    is_idf = path.suffix.lower() == ".idf"
     try:
-        if is_idf:
-            check_encoding(path.read_bytes(), path)
-        text = decode_idf(path.read_bytes()) if is_idf else path.read_text(encoding="utf-8")
-        if text.startswith(_BOM):  # EnergyPlus takes it for a part of the first word
-            return SourceModel()
-        return parse_idf(text, _layout(text, path)) if is_idf else read_epjson(text)
-    except (OSError, UnicodeDecodeError, InvalidConfig):
+        raw = path.read_bytes()
+        if path.suffix.lower() != ".idf":
+            return read_epjson(decode_epjson(raw, path))
+        check_encoding(raw, path)
+        text = decode_idf(raw)
+        return parse_idf(text, _layout(text, path))
+    except (OSError, InvalidConfig):
         return SourceModel()
 
 

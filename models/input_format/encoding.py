@@ -1,4 +1,7 @@
-"""Check and decode the bytes of an IDF: EnergyPlus needs UTF-8 without a byte-order mark, and lines that end in LF."""
+"""Check and decode the bytes of a model file.
+
+EnergyPlus needs UTF-8; an IDF also needs lines that end in LF and no byte-order mark.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ def check_encoding(raw: bytes, path: Path) -> None:
     """
     if not raw.strip():
         raise InvalidConfig(f"{path} is not an IDF: it is empty")
-    if raw.startswith(_UTF16) or raw.count(b"\0") > len(raw) // 4:
+    if _is_utf16(raw):
         raise InvalidConfig(f"{path} is not an IDF in UTF-8 (perhaps it is in UTF-16): save it as UTF-8 without BOM")
     if b"\0" in raw:
         damaged = raw[: raw.index(b"\0")].count(b"\n") + 1
@@ -40,9 +43,30 @@ def check_encoding(raw: bytes, path: Path) -> None:
         try:
             line.partition(b"!")[0].decode("utf-8")
         except UnicodeDecodeError as error:
-            byte = line[error.start]
-            reason = f"the byte 0x{byte:02X} is not UTF-8"
-            raise InvalidConfig(f"{path}, line {number}: {reason}: save the file as UTF-8") from None
+            raise _not_utf8(path, number, line[error.start]) from None
+
+
+def decode_epjson(raw: bytes, path: Path) -> str:
+    """Return the text of an epJSON, which may begin with a byte-order mark, with LF at the end of each line.
+
+    Raises:
+        InvalidConfig: a byte is not UTF-8; the text has its line.
+    """
+    if _is_utf16(raw):
+        raise InvalidConfig(f"{path} is not an epJSON in UTF-8 (perhaps it is in UTF-16): save it as UTF-8")
+    try:
+        return raw.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+    except UnicodeDecodeError as error:
+        number = error.object[: error.start].count(b"\n") + 1
+        raise _not_utf8(path, number, error.object[error.start]) from None
+
+
+def _is_utf16(raw: bytes) -> bool:
+    return raw.startswith(_UTF16) or raw.count(b"\0") > len(raw) // 4
+
+
+def _not_utf8(path: Path, line: int, byte: int) -> InvalidConfig:
+    return InvalidConfig(f"{path}, line {line}: the byte 0x{byte:02X} is not UTF-8: save the file as UTF-8")
 
 
 def decode_idf(raw: bytes) -> str:

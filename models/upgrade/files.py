@@ -11,7 +11,7 @@ from typing import Any
 
 from zenostat.models import energyplus
 from zenostat.models.catalog import MODEL_SUFFIXES
-from zenostat.models.input_format.encoding import check_encoding, decode_idf
+from zenostat.models.input_format.encoding import check_encoding, decode_epjson, decode_idf
 from zenostat.models.input_format.idf_writer import write_idf
 from zenostat.models.input_format.layout import engine_layout
 from zenostat.models.input_format.source_model import ObjectsOfType
@@ -51,13 +51,14 @@ def upgrade_file(path: Path, programs: Path | None = None) -> UpgradedModel:
         return _with_programs(path, programs)
     if is_idf:
         return upgrade_idf(decode_idf(raw), name=path.name)
+    text = decode_epjson(raw, path)
     try:
-        objects: Any = json.loads(raw)
+        objects: Any = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise InvalidConfig(f"{path} is not an epJSON file: {error}") from None
     if not isinstance(objects, dict):
         raise InvalidConfig(f"{path} is not an epJSON file: it is not an object")
-    return upgrade_epjson(objects, name=path.name, text=raw.decode("utf-8", errors="replace"))
+    return upgrade_epjson(objects, name=path.name, text=text)
 
 
 def cached_upgrade(text: str, *, name: str) -> UpgradedModel:

@@ -1,11 +1,11 @@
-"""Bytes of an IDF: those that EnergyPlus reads, and an error for each other one."""
+"""Bytes of a model file: those that EnergyPlus reads, and an error for each other one."""
 
 from pathlib import Path
 
 import pytest
 
 from zenostat.models.building.source_lines import read_source
-from zenostat.models.input_format.encoding import check_encoding
+from zenostat.models.input_format.encoding import check_encoding, decode_epjson
 from zenostat.topics.errors import InvalidConfig
 
 ZONE = "Version,25.2;\n! Büro\nZone,\n  Büro;  !- Name\n"
@@ -40,3 +40,24 @@ def test_read_source__macros_of_a_file_are_no_fields(tmp_path: Path) -> None:
     path = tmp_path / "office.idf"
     path.write_text("Version,25.2;\n##include zones.imf\nZone,A;\n")
     assert read_source(path).issues == ()
+
+
+TWO_ZONES = '{"Version": {"v": {"version_identifier": "25.2"}},\n"Zone": {"Büro": {},\n"Büro": {"x_origin": 1}}}'
+
+
+@pytest.mark.parametrize("raw", [TWO_ZONES.encode("utf-8-sig"), TWO_ZONES.replace("\n", "\r\n").encode()])
+def test_read_source__epjson_with_a_byte_order_mark_has_lines(raw: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "office.epJSON"
+    path.write_bytes(raw)
+    source = read_source(path)
+    assert [(each.kind, each.line) for each in source.entries] == [("Version", 1), ("Zone", 2), ("Zone", 3)]
+    assert len(source.issues) == 1
+
+
+@pytest.mark.parametrize(
+    ("encoding", "text"),
+    [("utf-16", "perhaps it is in UTF-16"), ("latin-1", "office.epJSON, line 2: the byte 0xFC is not UTF-8")],
+)
+def test_decode_epjson__names_what_is_wrong(encoding: str, text: str) -> None:
+    with pytest.raises(InvalidConfig, match=text):
+        decode_epjson(TWO_ZONES.encode(encoding), Path("office.epJSON"))
