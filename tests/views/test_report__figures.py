@@ -102,6 +102,19 @@ def test_report__energy_by_day_is_that_of_the_metrics() -> None:
         assert sums == pytest.approx(each.results[0].energy_kwh["electricity"])
 
 
+@pytest.mark.parametrize("kw", [0.0004, 2.0, 70_000.0])
+def test_report__labels_of_energy_state_the_values_at_which_they_are(kw: float) -> None:
+    of = office(("core",), steps=192)
+    curves = [Curve("rbc", 0, run("rbc", of, [kw] * 192, [[24.0] * 192], [[0.0] * 192]).quantities)]
+    for figure in (energy.periods(curves), months.end_uses_by_period(curves)):
+        axis = figure.drawing.axes[0].yaxis
+        labels = [axis.get_major_formatter()(tick, place) for place, tick in enumerate(axis.get_majorticklocs())]
+        values = [float(label.replace(",", "").replace("\N{MINUS SIGN}", "-")) for label in labels]
+        assert values == pytest.approx(axis.get_majorticklocs())
+    (total,) = [text.get_text() for text in energy.end_uses(curves).drawing.axes[0].texts if "kWh" in text.get_text()]
+    assert float(total.replace(",", "").removesuffix(" kWh")) == pytest.approx(48.0 * kw, rel=0.005)
+
+
 def test_end_uses_by_period__add_up_to_those_of_the_run() -> None:
     of = office(("core",), steps=96 * 50)  # 50 days: by month
     kw = np.random.default_rng(0).uniform(1.0, 9.0, of.steps)

@@ -16,6 +16,8 @@ from zenostat.views.report.theme import FULL_IN, series_color, series_dashes, st
 Days = Floats
 LONG_DAYS = 45
 """Runs of more days are drawn by day or month."""
+ENERGY_TICKS = "{x:,.10g}"
+"""Format of ticks of energy, which may be of any size."""
 
 
 @dataclass(frozen=True)

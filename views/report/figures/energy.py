@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import floor, log10
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from zenostat.topics.arrays import Floats
 from zenostat.views.display.colors import end_use_color, hex_color
 from zenostat.views.report.figures.base import (
+    ENERGY_TICKS,
     Curve,
     Figure,
     draw,
@@ -52,6 +54,7 @@ def end_uses(curves: Sequence[Curve]) -> Figure | None:
     fuels = {fuel for _, fuel in keys}
     labels = [use if len(fuels) == 1 or fuel == "electricity" else f"{use} ({fuel})" for use, fuel in keys]
     longest = kwh.sum(axis=1).max()
+    digits = max(2 - floor(log10(longest)), 0) if longest > 0.0 else 0  # three significant ones of the longest bar
 
     def fill(figure: Any) -> None:
         axis = figure.subplots()
@@ -63,13 +66,13 @@ def end_uses(curves: Sequence[Curve]) -> Figure | None:
                     row, value, left=left, height=0.62, color=hex_color(colors[key]), edgecolor=LIGHT["page"],
                     linewidth=0.8, label=labels[place] if row == 0 else None,
                 )  # fmt: skip
-                text = f"{value:,.0f}"
+                text = f"{value:,.{digits}f}"
                 if value / longest * _PLOT_IN > text_width(text) + 0.08:
                     axis.text(
                         left + value / 2, row, text, ha="center", va="center_baseline", color=ink_on(colors[key])
                     )  # fmt: skip
                 left += value
-            axis.text(left + longest * 0.012, row, f"{left:,.0f} kWh", va="center_baseline", fontweight="bold")
+            axis.text(left + longest * 0.012, row, f"{left:,.{digits}f} kWh", va="center_baseline", fontweight="bold")
         axis.set_yticks(range(len(curves)), [curve.name for curve in curves])
         axis.tick_params(axis="y", labelcolor=LIGHT["ink"], labelsize=8.5)
         axis.set_xlim(0.0, longest * 1.14)
@@ -84,7 +87,7 @@ def end_uses(curves: Sequence[Curve]) -> Figure | None:
     data: dict[str, Sequence[Any]] = {"end use": labels}
     for row, curve in enumerate(curves):
         data[f"{curve.name} (kWh)"] = kwh[row].tolist()
-    best = "; ".join(f"{curve.name} {kwh[row].sum():,.0f} kWh" for row, curve in enumerate(curves))
+    best = "; ".join(f"{curve.name} {kwh[row].sum():,.{digits}f} kWh" for row, curve in enumerate(curves))
     drawing = draw("end-uses", 0.55 + 0.42 * len(curves) + 0.2 * ((len(keys) + 4) // 5), fill)
     return Figure(
         "end-uses", "Energy by end use", "Site energy of the run period, kWh.", f"Stacked bars of energy: {best}.",
@@ -175,7 +178,7 @@ def periods(curves: Sequence[Curve]) -> Figure | None:
                     color=curve.color, label=legend_text(curve.name),
                 )  # fmt: skip
             axis.set_ylabel(f"{fuel_label(fuel)}, kWh")
-            axis.yaxis.set_major_formatter("{x:,.0f}")
+            axis.yaxis.set_major_formatter(ENERGY_TICKS)
             axis.margins(x=0.01)
         every = max(len(starts) // 12, 1)
         axes[-1].set_xticks(range(0, len(starts), every), [period_label(day) for day in starts[::every]])

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.views.display.colors import end_use_color, hex_color
-from zenostat.views.report.figures.base import Curve, Figure, draw, period_label
+from zenostat.views.report.figures.base import ENERGY_TICKS, Curve, Figure, draw, period_label
 from zenostat.views.report.quantities import EndUseEnergy, Times, by_period
 
 _COLUMNS = 2
@@ -42,7 +42,7 @@ def end_uses_by_period(curves: Sequence[Curve]) -> Figure | None:
                 )
                 below = below + kwh[:, place]
             axis.set_title(curve.name)
-            axis.yaxis.set_major_formatter("{x:,.0f}")
+            axis.yaxis.set_major_formatter(ENERGY_TICKS)
             every = max(-(-len(longest) // (12 // columns)), 1)
             axis.set_xticks(range(0, len(longest), every), [period_label(day) for day in longest[::every]])
         for axis in axes[len(sums) :]:
