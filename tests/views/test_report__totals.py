@@ -112,6 +112,24 @@ def test_report__result_names_savings_and_the_zone_that_pays_for_them(comparison
     assert "the worst zone is South (20 K h too warm)" in text
 
 
+def with_gas(of: Run, kwh: float) -> Run:
+    return changed(of, energy_kwh={**of.results[0].energy_kwh, "natural_gas": kwh})
+
+
+def test_report__result_names_fuels_that_count_besides_electricity(comparison: Comparison) -> None:
+    reference, other = comparison.runs
+    (text,) = texts_of(Comparison((with_gas(reference, 200.0), with_gas(other, 300.0))))
+    assert "rbc used 10.0 % less electricity than baseline" in text
+    assert "rbc used 50.0 % more natural gas than baseline (300 instead of 200 kWh)." in text
+    assert "However" not in text  # less comfort, of one energy more and of another less
+    (text,) = texts_of(Comparison((with_gas(reference, 300.0), with_gas(other, 200.0))))
+    assert "However, occupied zones were outside the comfort band" in text
+    (text,) = texts_of(Comparison((with_gas(reference, 0.3), with_gas(other, 0.2))))
+    assert "gas" not in text
+    (text,) = texts_of(Comparison((with_gas(other, 200.0),)))
+    assert text.startswith("rbc used 396 kWh of electricity, with a peak of 27 kW, and 200 kWh of natural gas.")
+
+
 def test_report__result_states_that_nothing_differs(comparison: Comparison) -> None:
     (text,) = texts_of(Comparison((comparison.runs[0], replace(comparison.runs[0], name="same"))))
     assert "same used as much electricity as baseline (440 kWh)" in text

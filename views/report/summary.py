@@ -6,6 +6,7 @@ from math import isnan
 
 from zenostat.topics.plurals import counted
 from zenostat.views.report.figures.comfort import rank_zones
+from zenostat.views.report.figures.energy import fuel_label
 from zenostat.views.report.runs import Comparison, Run
 from zenostat.views.report.totals import (
     Difference,
@@ -23,6 +24,8 @@ _ELECTRICITY = (
     Metric("electricity_kwh", "electricity", "kWh"),
     Metric("hvac_electricity_kwh", "electricity for heating, cooling and ventilation", "kWh"),
 )
+_NAMED_SHARE = 0.01
+"""Share of the energy of all fuels from which on a fuel besides electricity is named."""
 _PEAK = Metric("peak_kw", "peak power", "kW")
 _OUTSIDE = Metric("occupied_outside_kh", "", "K h")
 _WORST_KH = 0.5
@@ -53,12 +56,32 @@ def _compared(run: Run, reference: Run) -> str:
     peak = difference(run, reference, _PEAK)
     if peak is not None:
         parts.append(_peak(run, reference, peak, is_first=not parts))
-    sentences.append("".join(parts) + "." if parts else _without_energy(run, reference))
+    fuels = [(fuel, change) for fuel in _fuels(run, reference) if (change := difference(run, reference, fuel))]
+    if parts or not fuels:
+        sentences.append("".join(parts) + "." if parts else _without_energy(run, reference))
+    sentences += [f"{_amount(run, reference, fuel, change)}." for fuel, change in fuels]
     outside = difference(run, reference, _OUTSIDE)
     if outside is not None:
-        is_contrast = {*verdicts, outside.verdict} == {"better", "worse"}
+        energies = {*verdicts, *(change.verdict for _, change in fuels)} - {"equal"}
+        is_contrast = (energies, outside.verdict) in (({"better"}, "worse"), ({"worse"}, "better"))
         sentences.append(_outside(run, reference, outside, is_contrast=is_contrast))
     return " ".join(sentences)
+
+
+def _fuels(*runs: Run) -> list[Metric]:
+    """Return the fuels besides electricity that have a part in the energy of one of the runs."""
+    fuels = dict.fromkeys(fuel for run in runs for result in run.results for fuel in result.energy_kwh)
+    shares = dict.fromkeys(fuels, 0.0)
+    for run in runs:
+        amounts = {fuel: used.mean for fuel in fuels if (used := total(run, f"{fuel}_kwh")) is not None}
+        whole = sum(amounts.values())
+        for fuel, amount in amounts.items():
+            shares[fuel] = max(shares[fuel], amount / whole if whole > 0.0 else 0.0)
+    return [
+        Metric(f"{fuel}_kwh", fuel_label(fuel), "kWh")
+        for fuel, share in shares.items()
+        if fuel != "electricity" and share >= _NAMED_SHARE
+    ]
 
 
 def _other_conditions(run: Run, reference: Run) -> str:
@@ -166,7 +189,9 @@ def _alone(run: Run) -> str:
         metric, amount = amounts[0]
         peak = total(run, _PEAK.key)
         with_peak = f", with a peak of {number(peak.mean)} {_PEAK.unit}" if peak is not None else ""
-        sentences = [f"{run.label} used {number(amount.mean)} {metric.unit} of {metric.label}{with_peak}."]
+        others = [(fuel, used) for fuel in _fuels(run) if (used := total(run, fuel.key)) is not None]
+        fuels = "".join(f", and {number(used.mean)} {fuel.unit} of {fuel.label}" for fuel, used in others)
+        sentences = [f"{run.label} used {number(amount.mean)} {metric.unit} of {metric.label}{with_peak}{fuels}."]
     outside = total(run, _OUTSIDE.key)
     if outside is not None:
         sentences.append(f"Occupied zones were outside the comfort band by {kelvin_hours(outside.mean)}{_worst(run)}.")
