@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from zenostat.models.weather.design_days import standard_pressure
-from zenostat.models.weather.epw import COLUMNS, Floats, Weather
+from zenostat.models.weather.epw import COLUMNS, Weather
 from zenostat.models.weather.header import HEADER_LINES, Header, has_record, read_header
 from zenostat.models.weather.psychrometrics import sky_infrared
+from zenostat.topics.arrays import Floats
 from zenostat.topics.cache import cached_bytes, digest
 from zenostat.topics.errors import InvalidConfig
 

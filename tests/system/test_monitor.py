@@ -209,7 +209,7 @@ def test_monitor__monitor_may_come_before_its_node(scratch):
 @pytest.mark.slow
 def test_monitor__file_that_cannot_be_written_further_ends_it_with_the_reason(scratch, episode_bus):
     command = [
-        sys.executable, "-P", "-m", "zenostat.cli.main", "monitor", "--save", "run.rrd", "--once", "--connect",
+        *ZENOSTAT, "monitor", "--save", "run.rrd", "--once", "--connect",
         episode_bus.endpoint,
     ]  # fmt: skip
     monitor = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=scratch)
