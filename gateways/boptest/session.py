@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from functools import cache
 from math import inf, isfinite
 from threading import RLock
 from typing import Any
@@ -73,12 +72,13 @@ class BuildingTest:
         self.step_s = DEFAULT_STEP_S
         self.scenario: dict[str, Any] = {**dict.fromkeys(_SCENARIO), "electricity_price": "constant"}
         self._begin(0, 0)
+        self._weather_points = {_weather_name(point): point for point in self.beginning.weather.points}
         self._state_names = self._points_of_state()
 
     def _points_of_state(self) -> tuple[str, ...]:
         """Return the names of a state in the order of its values; all of them can be requested as results."""
-        table, weather = self.table, map(_weather_name, self.beginning.weather.points)
-        return ("time", *table.measured, *weather, *table.commanded, *table.activates)
+        table = self.table
+        return ("time", *table.measured, *self._weather_points, *table.commanded, *table.activates)
 
     @property
     def simulation(self) -> Simulation:
@@ -287,8 +287,8 @@ class BuildingTest:
     def measurements(self) -> Answer:
         """Describe the measurements."""
         described: dict[str, Any] = {point.name: point.as_json() for point in self.table.measurements}
-        for name, (unit, text) in self.beginning.weather.points.items():
-            described[_weather_name(name)] = {
+        for name, (unit, text) in zip(self._weather_points, self.beginning.weather.points.values(), strict=True):
+            described[name] = {
                 "Unit": unit, "Description": text, "Minimum": None, "Maximum": None,
             }  # fmt: skip
         return "Queried the measurements successfully.", described
@@ -326,8 +326,7 @@ class BuildingTest:
             return table.si_inputs(self.trajectory.effective[rows])[:, index]
         if (index := table.activated.get(name)) is not None:
             return self._activated(rows)[:, index]
-        weather = self.beginning.weather
-        return weather.at(next(point for point in weather.points if _weather_name(point) == name), times_s)
+        return self.beginning.weather.at(self._weather_points[name], times_s)
 
     def _activated(self, rows: int | slice) -> NDArray[np.int_]:
         """Return which inputs the client had activated, 0 or 1, shape (rows, inputs)."""
@@ -428,7 +427,6 @@ class BuildingTest:
             self.episodes.close()
 
 
-@cache
 def _weather_name(point: str) -> str:
     """Return the name of the measurement of a weather point: `weaSta_reaWeaTDryBul_y`."""
     return f"weaSta_reaWea{point[0].upper()}{point[1:]}_y"
