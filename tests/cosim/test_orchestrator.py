@@ -204,7 +204,7 @@ def test_loop__value_for_several_actuators_is_one_unknown(folder: Path) -> None:
 
 
 def test_step__sum_of_a_single_connection_is_limited_by_its_actuator(folder: Path) -> None:
-    """Of 10 W for 900 s, 5 W are received, and the balance has the rest as clipped."""
+    """The source sends 10 W for 900 s, 5 W are received, and the balance has the rest as clipped."""
     plants = {"a": plant(gain(0.0, 10.0)), "b": plant(gain(1.0), actuators={"u": ("W", 0.0, 5.0)})}
     orchestrator, _, _ = orchestrated(file_of(folder, "  - {from: a.x, to: b.u, sum: true}\n"), plants)
     orchestrator.step(free(plants))
