@@ -16,6 +16,7 @@ from zenostat.cli.console import err, out
 from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
 from zenostat.cli.tables import fitted, show, show_json
 from zenostat.topics.errors import NodeNotFound
+from zenostat.topics.json_numbers import finite
 from zenostat.topics.keys import Role
 from zenostat.topics.messages import AlarmList, AlarmPriority, AlarmState, AlarmStatus, EventState
 from zenostat.topics.printable import replace_controls
@@ -94,7 +95,7 @@ def _print_changes(
             continue
         if before is not None and _change_of(before) == _change_of(alarm):
             continue
-        line = json.dumps(_alarm_json(alarm)) if as_json else "  ".join(filter(None, _cells(alarm)))
+        line = json.dumps(finite(_alarm_json(alarm))) if as_json else "  ".join(filter(None, _cells(alarm)))
         sys.stdout.write(f"{line}\n" if as_json else f"{node}  {replace_controls(line)}\n")
         sys.stdout.flush()
 

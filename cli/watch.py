@@ -19,6 +19,7 @@ from zenostat.cli.read import Row, check_points, format_source, format_value, sa
 from zenostat.cli.read import rows as rows_of
 from zenostat.cli.tables import fitted
 from zenostat.topics.errors import NodeLost
+from zenostat.topics.json_numbers import finite
 from zenostat.topics.keys import Role
 from zenostat.topics.units import unit_label
 
@@ -81,7 +82,7 @@ def _print_json(sample: SampleView, names: Sequence[str]) -> None:
         "points": {row.name: row.value for row in listed if row.value_source is None},
         "actuators": {row.name: row.value for row in listed if row.value_source is not None},
     }
-    sys.stdout.write(json.dumps(line) + "\n")
+    sys.stdout.write(json.dumps(finite(line)) + "\n")
     sys.stdout.flush()
 
 
