@@ -13,6 +13,7 @@ from zenostat.cli.tables import show as show_table
 from zenostat.cli.tables import show_json
 from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName
 from zenostat.topics.plurals import counted
+from zenostat.topics.user_file import check_user_file
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -126,8 +127,7 @@ def check(file: Annotated[Path, typer.Argument(help="Scenario file.")]) -> None:
 
     Example: `zenostat scenarios check mine.yaml`
     """
-    if not file.is_file():
-        raise UnknownName(f"there is no file {file.absolute()}")
+    check_user_file(file, UnknownName, "a YAML file")
     with err.status(f"checking {file}"):
         planned = plan_scenario({"scenario": str(file)})
     points = planned.points

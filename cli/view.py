@@ -9,6 +9,7 @@ import typer
 
 from zenostat.cli.console import out, until_signal
 from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.user_file import check_user_file
 
 if TYPE_CHECKING:
     from zenostat.views.live.screenshot import Screenshot
@@ -44,8 +45,7 @@ def view(
     from zenostat.views.live.screenshot import draw
     from zenostat.views.live.viewer import readable, web_viewer, window
 
-    if not recording.is_file():
-        raise InvalidConfig(f"there is no recording {recording}; zenostat monitor --save FILE.rrd writes one")
+    check_user_file(recording, expected="a recording that zenostat monitor --save FILE.rrd writes")
     if web and screenshot is not None:
         raise InvalidConfig("--web and --screenshot exclude each other")
     request = screenshot_request(screenshot, at, size, tab)

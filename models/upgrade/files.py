@@ -22,7 +22,7 @@ from zenostat.models.upgrade.versions import short
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.cache import cached_bytes, digest
 from zenostat.topics.errors import InvalidConfig, UnknownName
-from zenostat.topics.user_file import user_file
+from zenostat.topics.user_file import check_user_file, user_file
 
 
 def upgrade_file(path: Path, programs: Path | None = None) -> UpgradedModel:
@@ -38,8 +38,7 @@ def upgrade_file(path: Path, programs: Path | None = None) -> UpgradedModel:
         InvalidConfig: it is not a model, or it cannot be upgraded.
         ModelError: a transition program failed.
     """
-    if not path.is_file():
-        raise UnknownName(f"no model file at {path.absolute()}")
+    check_user_file(path, UnknownName, "a model file")
     if path.suffix.lower() not in MODEL_SUFFIXES:
         raise InvalidConfig(f"{path.name} is not a model file: its suffix should be {' or '.join(MODEL_SUFFIXES)}")
     with user_file(path):

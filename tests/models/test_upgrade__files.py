@@ -146,8 +146,10 @@ def test_models_upgrade__lists_each_change_as_json(
 
 
 def test_upgrade_file__says_what_is_no_model(tmp_path: Path) -> None:
-    with pytest.raises(UnknownName, match="no model file at"):
+    with pytest.raises(UnknownName, match=r"there is no file /\S*/nothing\.idf"):
         upgrade_file(tmp_path / "nothing.idf")
+    with pytest.raises(UnknownName, match="is a folder; expected a model file"):
+        upgrade_file(tmp_path)
     (tmp_path / "model.txt").write_text("")
     with pytest.raises(InvalidConfig, match=r"its suffix should be \.epjson or \.idf"):
         upgrade_file(tmp_path / "model.txt")
