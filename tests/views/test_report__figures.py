@@ -277,6 +277,7 @@ def test_report__episodes_with_the_same_weather_are_drawn_once() -> None:
     assert [name for name in figure.data if "temperature" in name] == [
         "episode 1, episode 2: outdoor temperature (degC)"
     ]
+    assert figure.caption.startswith("Of the whole run period")
 
 
 @pytest.mark.parametrize("names", [("USA_NY_New.York-J.F.Kennedy.Intl.AP",), tuple("ab"), ("x" * 90,)])

@@ -68,7 +68,8 @@ def weather(episodes: Sequence[tuple[str, EpisodeWeather]], begin: np.datetime64
     for label, series in distinct:
         data[f"{label}: outdoor temperature (degC)"] = series.temperature.tolist()
         data[f"{label}: global horizontal radiation (W/m2)"] = series.solar.tolist()
-    caption = "Daily mean and range of the temperature." if is_long else "As drawn, noise included."
+    content = ": daily mean and range of the temperature" if is_long else ", as drawn, noise included"
+    caption = f"Of the whole run period{content}."
     if len(distinct) > len(shown):
         caption += f" The first {len(shown)} of {len(distinct)} different weathers are drawn."
     temperatures = np.concatenate([series.temperature for _, series in shown])
