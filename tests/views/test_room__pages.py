@@ -319,6 +319,11 @@ def test_trends__are_drawn_after_a_request_has_failed(ada: Visitor, room: Any, b
     page.locator(".trend-panel .u-over").wait_for()
 
 
+def test_trends__of_points_that_the_node_lacks_state_it(ada: Visitor, room: Any) -> None:
+    page = ada.open(f"{room.url}/?node=tank&trend=core_zn_air_temperature")
+    page.locator(".trend-panel").get_by_text("This node has none of the points that were chosen.").wait_for()
+
+
 def test_trends__of_a_fast_plant_are_zoomed_to_seconds_and_name_the_lines_that_are_left_out(
     ada: Visitor, room: Any, bus: zenostat.Bus, tank: NodeProgram, module_folder: Path
 ) -> None:

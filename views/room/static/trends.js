@@ -62,7 +62,7 @@ export function chart(root, { time, series, band = null, height = 260, onZoom = 
     width: Math.max(200, root.clientWidth), height, axes, scales,
     tzDate: (stamp) => uPlot.tzDate(new Date(stamp * 1000), "UTC"),
     legend: { show: false },
-    padding: [10, units.length > 1 ? 4 : 16, 0, 0],
+    padding: [10, units.length > 1 ? 4 : 32, 0, 0],  // on the right, half of a day's label
     cursor: { drag: { x: true, y: false, setScale: false }, points: { size: 6 }, focus: { prox: 24 } },
     focus: { alpha: 0.35 },
     series: [{}, ...series.map((each) => ({
@@ -315,7 +315,8 @@ export class Trends {
   /** Why nothing is drawn. */
   emptyText() {
     if (!this.hasHistory) return this.data?.time.length ? "No sample of this time has come since the points were chosen." : "This node keeps no history; its next samples are drawn.";
-    return this.problem || (this.names().length ? "…" : "Choose points in the table to draw them.");
+    const missing = this.chosen().length ? "This node has none of the points that were chosen. " : "";
+    return this.problem || (this.names().length ? "…" : `${missing}Choose points in the table to draw them.`);
   }
 
   draw() {
