@@ -129,7 +129,8 @@ class RecordingReader:
         position = self._file.tell()
         while (record := next_record(self._file, self._size)) is not None:
             opcode, body = record
-            if opcode in (Opcode.CHUNK, Opcode.DATA_END):
+            is_summary = opcode == Opcode.METADATA and self.about  # of a recording without messages
+            if opcode in (Opcode.CHUNK, Opcode.DATA_END) or is_summary:
                 break
             self._read_head_record(opcode, body, attached)
             position = self._file.tell()

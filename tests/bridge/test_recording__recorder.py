@@ -34,6 +34,12 @@ def test_recording__all_messages_are_there_in_order(tmp_path: Path) -> None:
     assert len(chunk_ends(path)) >= 2
 
 
+def test_recording__without_messages_is_complete(tmp_path: Path) -> None:
+    with RecordingReader(record_samples(tmp_path / "a.mcap", 0)) as reader:
+        assert list(reader.messages()) == []
+        assert (reader.end.is_complete, reader.end.is_damaged, reader.end.text) == (True, False, "")
+
+
 def test_recording__file_is_what_other_readers_expect(tmp_path: Path) -> None:
     path = record_samples(tmp_path / "a.mcap", 6000)
     with path.open("rb") as file:
