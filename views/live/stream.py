@@ -171,12 +171,15 @@ class RerunStream:
     def _flush(self, *, is_last: bool = False) -> None:
         """Log the gathered samples, the overview and the layout where they are due."""
         now_s = time.monotonic()
-        for node in self._nodes.values():
-            is_full = len(node.samples) >= ROWS or now_s - node.logged_s > MAX_WAIT_S
-            if self._is_live or is_full or is_last:
-                node.flush()
-            if is_full and not self._is_live:
-                write_out(self.recording, _RECORDING)
+        due = [
+            node
+            for node in self._nodes.values()
+            if self._is_live or is_last or len(node.samples) >= ROWS or now_s - node.logged_s > MAX_WAIT_S
+        ]
+        for node in due:
+            node.flush()
+        if due and not self._is_live:
+            write_out(self.recording, _RECORDING)
         if len(self._nodes) > 1 and (is_last or now_s - self._overview_s > _OVERVIEW_PERIOD_S):
             self._log_overview(now_s)
         if is_last or now_s - self._drawn_s > (DRAW_PERIOD_S if self._is_live else FILE_DRAW_PERIOD_S):
