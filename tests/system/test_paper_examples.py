@@ -132,4 +132,5 @@ def test_published_search__has_each_evaluation_once_and_follows_the_reward() -> 
         assert float(row["mean_reward"]) == pytest.approx(energy - 0.5 * deviation_k, abs=1e-9)
         metered_w = float(row["hvac_electricity_kwh"]) / 8.76
         # The reward has the rate at the end of each timestep, which policies learn to keep below the mean.
-        assert 1.002 < metered_w / (-energy / (0.5 * 5e-5)) < 1.1
+        most = 1.009 if int(row["step"]) == 2 * YEAR else 1.04
+        assert 1.002 < metered_w / (-energy / (0.5 * 5e-5)) < most
