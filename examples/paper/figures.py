@@ -28,6 +28,8 @@ MONTHS = "JFMAMJJASOND"
 TRAINED = ("ppo", "sac", "td3")
 YEAR = 35_040
 """Timesteps of an episode."""
+SEARCHED = ("learning_rate", "n_steps", "batch_size", "gamma")
+"""Parameters of the search."""
 
 
 def episodes(folder: Path) -> dict[str, Any]:
@@ -110,7 +112,7 @@ def combinations(trials: Path) -> list[dict[str, float]]:
 
 def draw_search(rows: list[dict[str, float]], path: Path) -> None:
     """Draw parallel coordinates: a line for each combination, darker for a higher reward."""
-    names = ["learning_rate", "n_steps", "batch_size", "gamma", "mean_reward"]
+    names = [*SEARCHED, "mean_reward"]
     figure, axes = plt.subplots(figsize=(theme.FULL_IN, 3.0), layout="constrained")
     columns = {name: np.array([row[name] for row in rows]) for name in names}
     rank = np.argsort(np.argsort(columns["mean_reward"])) / max(len(rows) - 1, 1)
@@ -143,12 +145,12 @@ def draw_continued(trained: list[list[dict[str, Any]]], baseline: float, path: P
     """Draw the evaluations of the combinations that were continued, the best after two years first."""
     figure, axes = plt.subplots(figsize=(theme.FULL_IN, 3.2), layout="constrained")
     for place, evaluated in enumerate(trained):
-        label = ", ".join(f"{evaluated[0][name]:g}" for name in ("learning_rate", "n_steps", "batch_size", "gamma"))
+        label = ", ".join(f"{evaluated[0][name]:g}" for name in SEARCHED)
         years, rewards = zip(*((row["step"] / YEAR, row["mean_reward"]) for row in evaluated), strict=True)
         axes.plot(years, rewards, color=mpl.colormaps["viridis"](place / max(len(trained), 2)), label=label)
     axes.axhline(baseline, color=theme.LIGHT["muted"], linestyle=theme.series_dashes(2), label="baseline")
     axes.set(title="The best combinations, continued", xlabel="years of training", ylabel="mean reward")
-    axes.legend(title="learning rate, n steps, batch size, gamma", loc="center left", bbox_to_anchor=(1, 0.5))
+    axes.legend(title=", ".join(SEARCHED).replace("_", " "), loc="center left", bbox_to_anchor=(1, 0.5))
     save(figure, path)
 
 

@@ -22,6 +22,7 @@ from typing import Any
 
 import matplotlib as mpl
 from figures import (
+    SEARCHED,
     TRAINED,
     YEAR,
     draw_continued,
@@ -40,10 +41,10 @@ from zenostat.views.report import theme
 FILES = ("curve.csv", "evaluations.csv", "references.csv", "training.yaml")
 YEARS = 40
 """Length of a training in episodes."""
-_GRID = yaml12.read_mapping(Path(__file__).with_name("search.yaml"))["parameters"]
-SEARCHED = {name: _GRID[f"parameters.{name}"] for name in ("learning_rate", "n_steps", "batch_size", "gamma")}
+_PARAMETERS = yaml12.read_mapping(Path(__file__).with_name("search.yaml"))["parameters"]
+GRID = {name: _PARAMETERS[f"parameters.{name}"] for name in SEARCHED}
 """The grid of the search."""
-COMBINATIONS = math.prod(map(len, SEARCHED.values()))
+COMBINATIONS = math.prod(map(len, GRID.values()))
 RESULTS = ("step", "mean_reward", "mean_reward.energy", "mean_deviation_k", "hvac_electricity_kwh", "steps")
 """Columns of `search.csv` from an evaluation, beside those of the combination."""
 MINUS = "\N{MINUS SIGN}"
@@ -87,11 +88,9 @@ def combination(row: dict[str, Any]) -> tuple[float, ...]:
     return tuple(row[name] for name in SEARCHED)
 
 
-def evaluations_by_combination(
-    rows: list[dict[str, Any]],
-) -> tuple[list[dict[str, Any]], list[list[dict[str, Any]]]]:
-    """Return the first evaluation of all combinations, and all of those that were continued, the best first."""
-    groups = [list(group) for _, group in groupby(rows, combination)]
+def read_search(path: Path) -> tuple[list[dict[str, Any]], list[list[dict[str, Any]]]]:
+    """Read `search.csv`: the first evaluation of all combinations, and all of those continued, the best first."""
+    groups = [list(group) for _, group in groupby(read_rows(path), combination)]
     continued = [group for group in groups if len(group) > 1]
     return [group[0] for group in groups], sorted(continued, key=lambda group: -group[0]["mean_reward"])
 
@@ -150,7 +149,7 @@ def search_table(rows: list[dict[str, Any]]) -> list[str]:
     """Return tables with the mean reward after two years by the value of each parameter, and the best combinations."""
     lines = [f"Completed: {len(rows)} of {COMBINATIONS} combinations.", ""]
     lines += ["| parameter | value | combinations | reward, mean | reward, best |", "|---|---|---|---|---|"]
-    for name, values in SEARCHED.items():
+    for name, values in GRID.items():
         for value in values:
             rewards = [row["mean_reward"] for row in rows if row[name] == value]
             if rewards:
@@ -172,7 +171,8 @@ def continued_table(trained: list[list[dict[str, Any]]]) -> list[str]:
     lines = ["| combination | years | reward | W | W, meter | K |", "|---" * 6 + "|"]
     for evaluated in trained:
         best = max(evaluated, key=lambda row: row["mean_reward"])
-        for row in (evaluated[0], *([best] if evaluated[0] is not best is not evaluated[-1] else []), evaluated[-1]):
+        shown = {row["step"]: row for row in (evaluated[0], best, evaluated[-1])}
+        for row in shown.values():
             numbers = (
                 f"{row['step'] / YEAR:.0f} | {row['mean_reward']:.4f} | {power_w(row):,.0f} | {metered_w(row):,.0f}"
             )
@@ -201,7 +201,7 @@ def page_text(text: str, published: Path) -> str:
     )
     text = replace_block(text, "trainings", [*training_table(folders), "", f"Years trained of {YEARS}: {years}."])
     text = replace_block(text, "agents", agent_table(published / "agents.csv"))
-    first, trained = evaluations_by_combination(read_rows(published / "search.csv"))
+    first, trained = read_search(published / "search.csv")
     text = replace_block(text, "search", search_table(first))
     return replace_block(text, "continued", continued_table(trained))
 
@@ -222,7 +222,7 @@ def main() -> None:
         with mpl.rc_context(theme.style("paper")):
             images = options.page.parent / "images"
             draw_training(trainings(published), images / "paper-training.png")
-            first, trained = evaluations_by_combination(read_rows(published / "search.csv"))
+            first, trained = read_search(published / "search.csv")
             draw_search(first, images / "paper-search.png")
             baseline = read_rows(published / "ppo" / "references.csv")[0]["mean_reward"]
             draw_continued(trained, baseline, images / "paper-continued.png")
