@@ -29,7 +29,7 @@ def priorities(
     """
     with options.open_bus(Role.MONITOR) as bus:
         manifest = bus.manifest(node)
-        actuator_index(manifest.actuators).require(actuators or [])
+        actuator_index(manifest).require(actuators or [])
         arrays = bus.priorities(node, slot=slot)
     rows = [
         (actuator, priority, entry)

@@ -74,6 +74,7 @@ def describe(
         versions=Versions(zenostat=VERSION, energyplus=_energyplus(binding)),
         task=_task(binding, name, {actuator.name for actuator in actuators}, reward),
         scenario=scenario,
+        connected=_connected(binding),
         warnings=(
             *binding.warnings,
             *(f"{m.name}: {text}" for m in binding.members.values() for text in m.manifest.warnings),
@@ -141,6 +142,15 @@ def available_name(plant: str) -> str:
 def tried_name(plant: str) -> str:
     """Return the name of the sensor whether the trials of a plant were its own."""
     return f"plant.{plant}.trials_available"
+
+
+def _connected(binding: Binding) -> dict[str, str]:
+    """Return the sources of each input that connections determine, by its name."""
+    names = [f"{t.source}.{binding.members[t.source].manifest.names[t.column]}" for t in binding.transfers]
+    return {
+        f"{fed.plant}.{fed.actuator.name}": ", ".join(dict.fromkeys(names[index] for index in fed.transfers))
+        for fed in binding.inputs
+    }
 
 
 def _task(binding: Binding, name: str, actuators: set[str], reward: dict[str, Any] | None) -> Task:

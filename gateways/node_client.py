@@ -160,7 +160,7 @@ class NodeClient:
             NodeLost, PeerError: as for `ask`.
         """
         try:
-            actuator_index(self.manifest.actuators).require([actuator])
+            actuator_index(self.manifest).require([actuator])
             source = keys.own_name(self._identity, source or self.source)
             fields = {"value": value, "priority": priority, "duration_s": duration_s, "source": source}
             message = codec.validated(Write, fields, actuator, InvalidAction)

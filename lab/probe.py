@@ -147,7 +147,7 @@ class ProbeRequest:
         self.length = round(hours * 3600.0 / manifest.step_s) if isfinite(hours) else 0
         self.steps: list[int] = errors.collect(lambda: _steps(manifest, self.length, days, at)) or []
         self.compared = errors.collect(lambda: _matching(value_index(manifest), points)) or []
-        known = actuator_index(manifest.actuators)
+        known = actuator_index(manifest)
         for overrides in (low, high):
             errors.collect(lambda overrides=overrides: known.require(overrides))  # type: ignore[misc]
         for actuator in manifest.actuators:

@@ -5,7 +5,7 @@ A bound of None in a message is no bound. In computations it is an infinity, or 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from math import inf, isfinite
 from numbers import Real
 from sys import float_info
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.topics.errors import InvalidAction, UnknownName, ZenostatError, did_you_mean
-from zenostat.topics.messages import Actuator, Aggregation, Manifest, Meter, Sensor
+from zenostat.topics.messages import Aggregation, Manifest, Meter, Sensor
 from zenostat.topics.units import with_unit
 
 LARGEST = float_info.max
@@ -114,13 +114,20 @@ class PointIndex(dict[str, int]):
         names: the points' names, in order.
         kind: the kind of point, for the error.
         error: class of the error.
+        connected: the sources of points that connections determine, which have no index, for the error.
     """
 
-    def __init__(self, names: Iterable[str], kind: str, error: type[ZenostatError] = UnknownName) -> None:
+    def __init__(
+        self,
+        names: Iterable[str],
+        kind: str,
+        error: type[ZenostatError] = UnknownName,
+        connected: Mapping[str, str] | None = None,
+    ) -> None:
         super().__init__()
         for index, name in enumerate(names):
             self[f"actuator/{name}" if name in self else name] = index
-        self._kind, self._error = kind, error
+        self._kind, self._error, self._connected = kind, error, connected or {}
 
     def __missing__(self, name: str) -> int:
         """Raise the error of an unknown name."""
@@ -128,6 +135,8 @@ class PointIndex(dict[str, int]):
 
     def unknown(self, name: str) -> ZenostatError:
         """Return the error of an unknown name."""
+        if name in self._connected:
+            return self._error(f"{name!r} cannot be commanded: it is connected to {self._connected[name]}")
         return self._error(f"no {self._kind} {name!r}; {did_you_mean(name, self)}")
 
     def require(self, names: Iterable[str]) -> None:
@@ -153,6 +162,6 @@ def observed_indices(manifest: Manifest) -> NDArray[np.intp] | None:
     return None if all(observed) else np.flatnonzero(observed)
 
 
-def actuator_index(actuators: Iterable[Actuator], error: type[ZenostatError] = UnknownName) -> PointIndex:
+def actuator_index(manifest: Manifest, error: type[ZenostatError] = UnknownName) -> PointIndex:
     """Return the index of actuators among the values of a command."""
-    return PointIndex((actuator.name for actuator in actuators), "actuator", error)
+    return PointIndex((actuator.name for actuator in manifest.actuators), "actuator", error, manifest.connected)

@@ -70,7 +70,7 @@ class _Portable(Controller):
         Raises:
             ControllerMismatch: the building has none.
         """
-        indices = actuator_index(self.manifest.actuators)
+        indices = actuator_index(self.manifest)
         for role, pattern in _SETPOINTS.items():
             points = model.find(pattern)
             for point in points:

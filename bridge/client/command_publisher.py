@@ -29,7 +29,7 @@ class CommandArrays:
 
     def __init__(self, manifest: Manifest) -> None:
         self._slots = manifest.slots
-        self._index = actuator_index(manifest.actuators, InvalidAction)
+        self._index = actuator_index(manifest, InvalidAction)
         count = len(manifest.actuators)
         self._shape = (manifest.slots, count) if manifest.slots > 1 else (count,)
 

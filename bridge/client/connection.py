@@ -372,7 +372,7 @@ class Connection:
             RequestRejected: The node rejected the write, with its reason.
         """
         manifest = self.manifest(node)
-        actuator_index(manifest.actuators).require([point])
+        actuator_index(manifest).require([point])
         fields = {"value": value, "priority": priority, "duration_s": duration_s, "source": source}
         write = codec.validated(Write, fields, point, InvalidAction)
         try:

@@ -5,7 +5,7 @@ No I/O. Arrays have the shape (slots, actuators).
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from struct import Struct
 
@@ -17,7 +17,7 @@ from zenostat.bridge.exchange.priority_array import PRIORITIES, PriorityArray
 from zenostat.topics import codec
 from zenostat.topics.errors import BadMessage
 from zenostat.topics.messages import ANONYMOUS, Actuator, Command, CommandOp, Write
-from zenostat.topics.points import LARGEST, actuator_index, bound_arrays, contains, describe_violation
+from zenostat.topics.points import LARGEST, PointIndex, bound_arrays, contains, describe_violation
 from zenostat.topics.units import with_unit
 
 _SMALL = 32
@@ -69,6 +69,7 @@ class ActuatorCommands:
     Args:
         actuators: in manifest order.
         slots: number of engines in the node.
+        connected: as in the manifest.
 
     Attributes:
         array: values and sources at each priority.
@@ -76,14 +77,14 @@ class ActuatorCommands:
         timesteps: timesteps since all slots started; the clock of expiries.
     """
 
-    def __init__(self, actuators: tuple[Actuator, ...], slots: int) -> None:
+    def __init__(self, actuators: tuple[Actuator, ...], slots: int, connected: Mapping[str, str]) -> None:
         self._actuators, self._shape = actuators, (slots, len(actuators))
         self._bounds = np.tile(np.stack(bound_arrays(actuators, unbounded=LARGEST)), slots)
         self._clipped = np.empty(self._bounds.shape[1])
         self._is_small = len(self._clipped) <= _SMALL
         self._low, self._high = self._bounds.tolist()
         self._unpack = Struct(f"<{len(self._clipped)}d").unpack
-        self._index = actuator_index(actuators, BadMessage)
+        self._index = PointIndex((a.name for a in actuators), "actuator", BadMessage, connected)
         self._expiries: list[Expiry] = []
         self.array = PriorityArray(*self._shape)
         self.size = self._clipped.nbytes

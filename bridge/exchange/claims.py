@@ -7,7 +7,7 @@ that a controller has set are relinquished when its claim ends.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from zenostat.bridge.exchange.priority_array import PriorityArray
 from zenostat.bridge.exchange.transitions import CONTROLLER_TRANSITIONS, ControllerTrigger, IllegalTransition
 from zenostat.topics.errors import RequestRejected
 from zenostat.topics.messages import Actuator, Claim, ControllerState
-from zenostat.topics.points import actuator_index
+from zenostat.topics.points import PointIndex
 
 MAX_CLAIMS = 1000
 """Largest number of controllers that have a claim on a node at the same time."""
@@ -78,18 +78,19 @@ class Claims:
     Args:
         actuators: in manifest order.
         array: the values that the controllers have set.
+        connected: as in the manifest.
 
     Attributes:
         by_name: the claims by controller.
         required: those of the controllers that the node waits for in lockstep.
     """
 
-    def __init__(self, actuators: tuple[Actuator, ...], array: PriorityArray) -> None:
+    def __init__(self, actuators: tuple[Actuator, ...], array: PriorityArray, connected: Mapping[str, str]) -> None:
         self.by_name: dict[str, ClaimHolder] = {}
         self.required: list[ClaimHolder] = []
         self._actuators = actuators
         self._array = array
-        self._index = actuator_index(actuators, RequestRejected)
+        self._index = PointIndex((a.name for a in actuators), "actuator", RequestRejected, connected)
 
     def claim(self, claim: Claim, now_s: float) -> tuple[ClaimHolder, list[str]]:
         """Add or renew a claim; also return the disconnected controllers whose claims it replaces.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from zenostat.bridge.exchange.actuator_commands import ActuatorCommands
@@ -48,6 +48,7 @@ class ExchangeState:
         mode: what determines the pace of simulated time.
         policy: the fallback policy.
         deadline_s: how long a step waits for commands; the node calls `on_deadline` then.
+        connected: as in the manifest.
         commands: the commanded values of the actuators.
         claims: the controllers' claims.
         modified: of each slot, whether it was commanded or has stepped since the start of its episode.
@@ -71,6 +72,7 @@ class ExchangeState:
     episode: list[int] = field(default_factory=list)
     step: list[int] = field(default_factory=list)
     counts: MessageCounts = field(default_factory=MessageCounts)
+    connected: Mapping[str, str] = field(default_factory=dict)
     commands: ActuatorCommands = field(init=False)
     claims: Claims = field(init=False)
     modified: list[bool] = field(init=False)
@@ -94,8 +96,8 @@ class ExchangeState:
         self.active_slots = self.all_slots = range(self.slots)
         self.all_modified = [True] * self.slots
         self.clear_commanded()
-        self.commands = ActuatorCommands(self.actuators, self.slots)
-        self.claims = Claims(self.actuators, self.commands.array)
+        self.commands = ActuatorCommands(self.actuators, self.slots, self.connected)
+        self.claims = Claims(self.actuators, self.commands.array, self.connected)
 
     def clear_commanded(self) -> None:
         """Report all actuators as relinquished, with baseline control as their source."""

@@ -140,7 +140,7 @@ class StepExchange(ExchangeState):
     def copy(self) -> StepExchange:
         """Return an exchange at the same sample that changes independently; it counts no accepted messages."""
         copy = StepExchange(self.actuators, self.slots, self.mode, self.policy, self.deadline_s, self.state,
-                            [*self.episode], [*self.step], replace(self.counts))  # fmt: skip
+                            [*self.episode], [*self.step], replace(self.counts), self.connected)  # fmt: skip
         copy.commands.restore(self.commands.capture())
         copy.claims.restore(self.claims)
         copy.commanded, copy.source_index = self.commanded, self.source_index

@@ -272,6 +272,7 @@ class BranchManager:
             parent.exchange.actuators,
             slots=slots,
             episode=[origin.episode[request.slot]] * slots,
+            connected=parent.exchange.connected,
         )
         commands = None
         if not request.relinquished:

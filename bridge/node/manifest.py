@@ -67,6 +67,7 @@ def described_manifest(
         sensors=description.sensors,
         meters=description.meters,
         actuators=description.actuators,
+        connected=dict(description.connected),
         task=settings.task(description.task),
         warnings=description.warnings,
         versions=description.versions,

@@ -215,6 +215,7 @@ class Node:
             mode=settings.mode,
             policy=settings.policy,
             deadline_s=settings.deadline_s,
+            connected=plant.description.connected,
         )
         resumption = self._resumption
         if resumption is None:

@@ -106,6 +106,7 @@ class PlantDescription:
             takes a second at most. None for a plant without.
         without_semantic: why there is none; the text of the error that `rpc/semantic` replies with.
         systems: components and loops, for schematics; None for a plant without.
+        connected: as in the manifest.
         provenance: what creates the same plant again, for recordings.
     """
 
@@ -125,6 +126,7 @@ class PlantDescription:
     semantic: Callable[[str], str] | None = None
     without_semantic: str = "this plant has no semantic model"
     systems: Systems | None = None
+    connected: Mapping[str, str] = field(default_factory=dict)
     provenance: Provenance = field(default_factory=Provenance)
 
 

@@ -27,7 +27,7 @@ from zenostat.cosim.verify_recording import verify_district
 from zenostat.evaluation import connection_balances
 from zenostat.recording import load
 from zenostat.topics import codec
-from zenostat.topics.errors import EngineDied, InvalidConfig, InvalidRecording, RequestRejected
+from zenostat.topics.errors import EngineDied, InvalidConfig, InvalidRecording, RequestRejected, UnknownName
 from zenostat.topics.messages import Event, EventKind, Flag, Mode, Reset, State
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -215,6 +215,17 @@ def test_district__controller_reset_and_solved_loop(scratch: Path) -> None:
         assert rows["loop.boiler-house.trials"][1:].max() <= 3.0  # the loop is linear
         link.reset()
         bus.drop(name, bus.snapshot(name).snapshot)
+
+
+@pytest.mark.slow
+def test_district__connected_input_names_its_source_to_all_who_command_it(scratch: Path) -> None:
+    text = "'house.supply' cannot be commanded: it is connected to boiler.power"
+    with running(scratch, district(scratch)) as (_, bus, name):
+        assert bus.manifest(name).connected == {"house.supply": "boiler.power", "boiler.demand": "house.demand"}
+        with pytest.raises(UnknownName, match=text):
+            bus.write(name, "house.supply", 2.0)
+        with pytest.raises(RequestRejected, match=text), bus.controller(name, actuators=["house.supply"]):
+            pass
 
 
 def has_ended(process: psutil.Process) -> bool:

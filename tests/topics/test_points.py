@@ -158,10 +158,17 @@ def test_point_index__require_names_all_unknown_names_and_only_those() -> None:
     assert [line.partition(";")[0] for line in lines] == ["no actuator 'heatng'", "no actuator 'coolng'"]
 
 
+def test_actuator_index__names_the_source_of_a_connected_input() -> None:
+    manifest = BUILDING.model_copy(update={"connected": {"house.supply": "boiler.power, pump.heat"}})
+    expected = "^'house.supply' cannot be commanded: it is connected to boiler.power, pump.heat$"
+    with pytest.raises(UnknownName, match=expected):
+        actuator_index(manifest)["house.supply"]
+
+
 def test_value_index__counts_the_meters_after_the_sensors() -> None:
     index = value_index(BUILDING)
     assert dict(index) == {"zone_t": 0, "outdoor_t": 1, "electricity": 2, "gas": 3}
 
 
 def test_actuator_index__has_the_order_of_the_actuators() -> None:
-    assert dict(actuator_index(BUILDING.actuators)) == {"heat": 0, "cool": 1}
+    assert dict(actuator_index(BUILDING)) == {"heat": 0, "cool": 1}

@@ -142,7 +142,8 @@ class Manifest(Message):
     mode. `grace_s`: how long a controller may be disconnected before the fallback policy applies. `deadline_s`: how
     long each step waits for commands. `faults_injected`: whether samples contain injected faults. `history_samples`:
     how many of the latest samples of the present episode the node keeps for `rpc/history`, in `history_bytes` bytes of
-    memory; a slot that does not step with the others has fewer of its own.
+    memory; a slot that does not step with the others has fewer of its own. `connected`: inputs of a district's plants
+    that its connections determine, which are therefore no actuators, and the points that they are connected to.
     `statistics`: only in replies to queries.
     """
 
@@ -174,6 +175,7 @@ class Manifest(Message):
     sensors: tuple[Sensor, ...]
     meters: tuple[Meter, ...]
     actuators: tuple[Actuator, ...]
+    connected: dict[str, str] = Field(default_factory=dict)
     task: Task = Task()
     warnings: tuple[Lines, ...] = ()
     versions: Versions

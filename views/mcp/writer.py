@@ -136,7 +136,7 @@ class Writer:
             AccessDenied: the limits do not permit it, or the simulation fails with it.
             RequestRejected: too many writes, the priority is another writer's, or the node rejected the write.
         """
-        actuator_index(manifest.actuators).require([name])
+        actuator_index(manifest).require([name])
         actuator = next(each for each in manifest.actuators if each.name == name)
         self._check(actuator, value, duration_s)
         with self._lock:
@@ -156,7 +156,7 @@ class Writer:
             UnknownName: there is no such actuator.
             RequestRejected: this writer has set no value, or the node rejected the write.
         """
-        actuator_index(manifest.actuators).require([name])
+        actuator_index(manifest).require([name])
         with self._lock:
             if not self._check_holder(manifest, name):
                 raise RequestRejected(f"{name} has no value of this server at priority {self.limits.priority}")

@@ -21,7 +21,7 @@ def priority_arrays(bus: Bus, manifest: Manifest, point: str) -> dict[str, Any]:
     Raises:
         UnknownName: there is no such actuator; the text lists similar names.
     """
-    actuator_index(manifest.actuators).require([point])
+    actuator_index(manifest).require([point])
     arrays = bus.ask(keys.PRIORITIES, manifest.node, Query(), PriorityArrays)
     entries, remaining_s = decode_priorities(arrays, manifest)[point], decode_remaining(arrays, manifest)[point]
     now = manifest.time_at(arrays.step[0])

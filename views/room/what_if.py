@@ -184,7 +184,7 @@ def simulate_futures(
 
 def _check_values(manifest: Manifest, values: Mapping[str, float | None]) -> None:
     """Raise the error of an unknown actuator, or of a value beyond the bounds, before anything is simulated."""
-    index = actuator_index(manifest.actuators)
+    index = actuator_index(manifest)
     if len(values) > len(index):
         limit = counted(len(index), "value")
         raise InvalidConfig(f"values: at most {limit} expected, one for each actuator of the node, not {len(values)}")
