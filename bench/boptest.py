@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import psutil
 import requests
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -21,6 +20,7 @@ from zenostat.bridge.runtime.processor_time import processor_s
 from zenostat.cli.boptest_cases import BundledTestCases
 from zenostat.gateways.boptest.prices import read_rates
 from zenostat.gateways.boptest.session import BuildingTest
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import CommandOp
 
 CASE = "office-small"
@@ -71,7 +71,7 @@ def measure(*, quick: bool) -> dict[str, Any]:
     return {"ms": figures, "added_ms": statistics.median(added), "others": share}
 
 
-def _command(test: BuildingTest) -> tuple[NDArray[np.float64], bytes]:
+def _command(test: BuildingTest) -> tuple[Floats, bytes]:
     """Return what `/advance` commands: one actuator, all others relinquished."""
     index = test.table.commanded["core_zn_cooling_setpoint_u"]
     values, operations = np.zeros(len(test.table.inputs)), bytearray([CommandOp.RELINQUISH] * len(test.table.inputs))

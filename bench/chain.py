@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from zenoh.handlers import FifoChannel
 
 from zenostat.bridge.runtime import affinity
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.transport.session import open_session
+from zenostat.topics.arrays import Floats
 
 _SAMPLE, _COMMAND = "sample", "command"
 _MAX_BYTES = 1 << 16
@@ -41,7 +41,7 @@ class Chain:
     def __init__(self, run: Any, folder: Path, placement: Affinity) -> None:
         core, _ = affinity.pick_cores(placement)
         endpoint = f"unixsock-stream/{folder}/chain"
-        self._action: NDArray[np.float64] = run.action if run is not None else np.zeros(1)
+        self._action: Floats = run.action if run is not None else np.zeros(1)
         with ExitStack() as undo:
             self._start(undo, run, endpoint, core)  # fork before this process opens a Zenoh session
             with affinity.threads_started_on(core):

@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench import pace, programs, scenes
+from zenostat.topics.arrays import Floats
 
 SCENES = ("five-zone", "office-small")
 PLANS, TIMESTEPS, BEGIN = 16, 24, 40
@@ -45,12 +46,12 @@ class _Building:
         for _ in range(BEGIN):
             self.env.step(middle)
 
-    def together(self) -> NDArray[np.float64]:
+    def together(self) -> Floats:
         """Simulate the plans in one request."""
-        rewards: NDArray[np.float64] = self.env.plan(self.actions)
+        rewards: Floats = self.env.plan(self.actions)
         return rewards
 
-    def one_by_one(self) -> NDArray[np.float64]:
+    def one_by_one(self) -> Floats:
         """Simulate each plan in a branch of its own."""
 
         def simulate(plan: NDArray[np.float32]) -> list[float]:
@@ -60,7 +61,7 @@ class _Building:
         return np.array(list(self.pool.map(simulate, self.actions)))
 
 
-def _timed(work: Callable[[], NDArray[np.float64]]) -> tuple[NDArray[np.float64], float]:
+def _timed(work: Callable[[], Floats]) -> tuple[Floats, float]:
     begin = time.perf_counter()
     rewards = work()
     return rewards, time.perf_counter() - begin

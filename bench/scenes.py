@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.eplus_node.config import read_config
 from zenostat.eplus_node.plan import Plan, plan
 from zenostat.models.points.discovery import discover
 from zenostat.models.scenario.episode_weather import EpisodeFactory, EpisodeFiles, WeatherDraw
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Actuator
 
 # Without a 29 February, which weather files lack; 2100 is not a leap year.
@@ -58,6 +58,6 @@ def prepared(node_settings: dict[str, Any], folder: Path) -> tuple[Plan, Episode
     return checked, episodes.prepare(WeatherDraw(), folder, folder / "in.epw")
 
 
-def setpoints(actuators: tuple[Actuator, ...]) -> NDArray[np.float64]:
+def setpoints(actuators: tuple[Actuator, ...]) -> Floats:
     """Return 20 °C for heating and 25 °C for cooling, in the order of the actuators."""
     return np.tile([20.0, 25.0], len(actuators) // 2)

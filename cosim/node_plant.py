@@ -9,7 +9,6 @@ from itertools import zip_longest
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.bridge.client.bus import Bus, connect
 from zenostat.bridge.client.controller_link import ControllerLink
@@ -432,7 +431,7 @@ def _difference(manifest: Manifest, previous: Manifest) -> str:
     return ""
 
 
-def _command(row: Floats) -> tuple[NDArray[np.float64], bytes | None]:
+def _command(row: Floats) -> tuple[Floats, bytes | None]:
     """Return values and operations of a command; NaN relinquishes an actuator."""
     is_free = np.isnan(row)
     if not is_free.any():

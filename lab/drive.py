@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.recording.checked_messages import decode
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig, InvalidRecording
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.messages import CommandOp, Manifest, Mode
@@ -122,7 +123,7 @@ def _check_values(reader: RecordingReader, manifest: Manifest, columns: NDArray[
         raise InvalidRecording(f"{reader.path} has no commands")
 
 
-def _table(reader: RecordingReader, raw: bytes) -> NDArray[np.float64]:
+def _table(reader: RecordingReader, raw: bytes) -> Floats:
     return np.frombuffer(raw).reshape(reader.manifest.slots, len(reader.manifest.actuators))
 
 

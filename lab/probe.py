@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.agent_sdk.envs.arguments import of_scenario
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.bridge.client.controller_link import ControllerLink, open_link
 from zenostat.bridge.client.sample import SampleView
 from zenostat.lab.probe_effects import Effect, HoldExperiment, Ranges, Side, effect_of
+from zenostat.topics.arrays import Floats
 from zenostat.topics.calendar import format_duration
 from zenostat.topics.errors import BusError, ErrorCollector, InvalidConfig, SimulatorError, did_you_mean
 from zenostat.topics.messages import Actuator, CreateBranch, Manifest
@@ -61,8 +61,8 @@ class ProbeReport:
 class _BranchResult:
     """Values of one branch; shorter, and with the error text, if EnergyPlus failed."""
 
-    points: NDArray[np.float64]
-    effective: NDArray[np.float64]
+    points: Floats
+    effective: Floats
     failure: str
 
 

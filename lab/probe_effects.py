@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Actuator, Manifest, Sensor
 
 Side = Literal["low", "high"]
@@ -39,9 +40,9 @@ class HoldExperiment:
     side: Side
     value: float
     time: datetime
-    points: NDArray[np.float64]
-    reference: NDArray[np.float64]
-    effective: NDArray[np.float64]
+    points: Floats
+    reference: Floats
+    effective: Floats
     failure: str = ""
 
 
@@ -105,16 +106,16 @@ class Ranges:
     def __init__(self, points: int) -> None:
         self._low, self._high = np.full(points, np.inf), np.full(points, -np.inf)
 
-    def add(self, values: NDArray[np.float64]) -> None:
+    def add(self, values: Floats) -> None:
         """Add values of shape (points,) or (timesteps, points)."""
         for row in values.reshape(-1, len(self._low)):
             np.fmin(self._low, row, out=self._low)
             np.fmax(self._high, row, out=self._high)
 
     @property
-    def spans(self) -> NDArray[np.float64]:
+    def spans(self) -> Floats:
         """Maximum minus minimum, shape (points,), in the points' units."""
-        spans: NDArray[np.float64] = self._high - self._low
+        spans: Floats = self._high - self._low
         return spans
 
 
@@ -123,7 +124,7 @@ def effect_of(
     actuator: Actuator,
     experiments: Sequence[HoldExperiment],
     compared: Sequence[int],
-    spans: NDArray[np.float64],
+    spans: Floats,
 ) -> Effect:
     """Compare all branches of one actuator with their references.
 
@@ -162,7 +163,7 @@ def effect_of(
     )
 
 
-def _pair(branch: HoldExperiment) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _pair(branch: HoldExperiment) -> tuple[Floats, Floats]:
     return branch.points, branch.reference[: len(branch.points)]
 
 
@@ -172,7 +173,7 @@ def _is_different(branch: HoldExperiment) -> NDArray[np.bool_]:
     return different
 
 
-def _differences(branch: HoldExperiment) -> NDArray[np.float64]:
+def _differences(branch: HoldExperiment) -> Floats:
     """Return absolute differences, shape (timesteps, points); 0 where they may come from rounding."""
     points, reference = _pair(branch)
     magnitude = np.maximum(np.abs(points), np.abs(reference))

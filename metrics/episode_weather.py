@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from datetime import timedelta
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.bridge.client.bus import Bus
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import ZenostatError
 from zenostat.topics.messages import Manifest, WeatherSeries
 from zenostat.topics.recording import WEATHER_COLUMNS, RecordedWeather
@@ -25,8 +25,8 @@ class EpisodeWeather:
     """
 
     step_s: float
-    temperature: NDArray[np.float64]
-    solar: NDArray[np.float64]
+    temperature: Floats
+    solar: Floats
 
 
 def read_weather(series: WeatherSeries | RecordedWeather, span: timedelta) -> EpisodeWeather:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from zenostat.bridge.client.sample import SampleView
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.topics import codec
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import UsageError
 from zenostat.topics.messages import Manifest
 
@@ -40,9 +41,7 @@ class TrajectoryRecorder:
         """Return the number of samples so far."""
         return self._count
 
-    def add(
-        self, sample: SampleView, terms: Mapping[str, Any] | None = None, *, orders: NDArray[np.float64] | None = None
-    ) -> None:
+    def add(self, sample: SampleView, terms: Mapping[str, Any] | None = None, *, orders: Floats | None = None) -> None:
         """Add a sample, with the reward terms and the actuator values of the timestep that it closes."""
         step, message, manifest = sample.step, sample.message, self._manifest
         if self._first < 0 or step == 0 or step < self._first:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from zenostat.topics.arrays import Floats
 from zenostat.topics.energyplus_names import UNMET_COOLING, UNMET_HEATING
 from zenostat.topics.messages import Aggregation, Manifest
 
@@ -31,7 +29,7 @@ class UnmetHours:
         self.heating_h = None if self._heating is None else 0.0
         self.cooling_h = None if self._cooling is None else 0.0
 
-    def add(self, values: NDArray[np.float64]) -> None:
+    def add(self, values: Floats) -> None:
         """Add a timestep with the values of the sample that closes it."""
         if self._heating is not None and self.heating_h is not None:
             self.heating_h += float(values[self._heating])

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import BadMessage, InvalidConfig, ZenostatError, did_you_mean
 from zenostat.topics.messages import (
     SCHEMA_VERSION,
@@ -270,7 +271,7 @@ def _cut(text: str, limit: int = 200) -> str:
     return text if len(text) <= limit else text[: limit - 1] + "…"
 
 
-def floats(raw: bytes, shape: tuple[int, ...], what: str) -> NDArray[np.float64]:
+def floats(raw: bytes, shape: tuple[int, ...], what: str) -> Floats:
     """Return a read-only float64 view of `raw`; `what` names it in errors.
 
     Raises:
@@ -279,7 +280,7 @@ def floats(raw: bytes, shape: tuple[int, ...], what: str) -> NDArray[np.float64]
     return _array(raw, FLOAT, shape, what)
 
 
-def row(raw: bytes, index: int, rows: int, width: int, what: str) -> NDArray[np.float64]:
+def row(raw: bytes, index: int, rows: int, width: int, what: str) -> Floats:
     """Return one row of `floats(raw, (rows, width), what)` as a view."""
     if len(raw) != 8 * rows * width:
         floats(raw, (rows, width), what)

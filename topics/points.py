@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidAction, UnknownName, ZenostatError, did_you_mean
 from zenostat.topics.messages import Aggregation, Manifest, Meter, Sensor
 from zenostat.topics.units import with_unit
@@ -51,9 +52,7 @@ def bounds(limits: Bounded, *, unbounded: float = inf) -> tuple[float, float]:
     return (-unbounded if limits.low is None else limits.low, unbounded if limits.high is None else limits.high)
 
 
-def bound_arrays(
-    points: Sequence[Bounded], *, unbounded: float = inf
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def bound_arrays(points: Sequence[Bounded], *, unbounded: float = inf) -> tuple[Floats, Floats]:
     """Return the lower and the upper bounds of several points, each of shape (points,); see `bounds`."""
     pairs = [bounds(point, unbounded=unbounded) for point in points]
     return np.array([low for low, _ in pairs], np.float64), np.array([high for _, high in pairs], np.float64)

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from typing import Any, Protocol, runtime_checkable
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from zenostat.bridge.client.sample import SampleView
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Manifest
 
 Values = dict[str, float | None]
@@ -40,7 +40,7 @@ class Planner(Protocol):
 
     action_space: Any
 
-    def plan(self, actions: ArrayLike, *, forecast_error: Sequence[float] = ()) -> NDArray[np.float64]:
+    def plan(self, actions: ArrayLike, *, forecast_error: Sequence[float] = ()) -> Floats:
         """Return the reward of each timestep of several action sequences; see `BuildingEnv.plan`."""
 
     def branch(self, *, forecast_error: Sequence[float] = ()) -> AbstractContextManager[PlanBranch]:

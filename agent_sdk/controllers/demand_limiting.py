@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from datetime import datetime
 
-import numpy as np
-from numpy.typing import NDArray
-
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
 from zenostat.agent_sdk.rewards.energy_meter import EnergyMeter
 from zenostat.agent_sdk.rewards.manifest_data import known_rewards
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Manifest
 
@@ -52,7 +50,7 @@ class DemandLimiter:
         self._month: tuple[int, int] | None = None
         self._peak_kw = self._share = 0.0
 
-    def share(self, measured: NDArray[np.float64], now: datetime) -> float:
+    def share(self, measured: Floats, now: datetime) -> float:
         """Return the share for the timestep that begins at `now`, from the power of the last one."""
         power_kw = float(self._meter.kwh(measured)) * self._meter.kw_per_kwh
         if (now.year, now.month) != self._month:

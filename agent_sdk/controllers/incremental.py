@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from zenostat.agent_sdk.controllers.action_roles import SETPOINTS, ActionBinding, Role, bind_actions
 from zenostat.agent_sdk.controllers.base import Controller, Values
 from zenostat.agent_sdk.controllers.comfort_band import Band, comfort_bands, inside
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch, number
 from zenostat.agent_sdk.controllers.plant import PlantRules
 from zenostat.bridge.client.sample import SampleView
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Manifest
 
 
@@ -71,7 +69,7 @@ class IncrementalRules(Controller):
                 values |= self._plant.act(binding, measured, band)
         return values
 
-    def _move(self, binding: ActionBinding, measured: NDArray[np.float64], band: Band) -> float:
+    def _move(self, binding: ActionBinding, measured: Floats, band: Band) -> float:
         low, high = band
         mean, middle = float(measured[list(binding.temperatures)].mean()), (low + high) / 2
         coolest, warmest = inside(band, self._margin_k)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from datetime import datetime, timedelta
 
-import numpy as np
-from numpy.typing import NDArray
+from zenostat.topics.arrays import Floats
 
 OPEN_HOURS = range(6, 22)
 """Hours in which zones count as occupied until the first arrival has been observed: comfort first."""
@@ -36,7 +35,7 @@ class OccupancyTimes:
         self._arrivals.clear()
         self._largest.clear()
 
-    def is_present(self, people: People, measured: NDArray[np.float64], now: datetime) -> bool:
+    def is_present(self, people: People, measured: Floats, now: datetime) -> bool:
         """Return whether zones are occupied at present; those without an occupant count always are."""
         if not people:
             return True
@@ -59,7 +58,7 @@ class OccupancyTimes:
     def is_occupied(
         self,
         people: People,
-        measured: NDArray[np.float64],
+        measured: Floats,
         now: datetime,
         is_started: Callable[[datetime], bool],
     ) -> bool:

@@ -25,6 +25,7 @@ from zenostat.agent_sdk.controllers.sequence_search import (
     path_integral_weights,
 )
 from zenostat.bridge.client.sample import SampleView
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig, SimulatorError, did_you_mean
 from zenostat.topics.messages import Manifest
 from zenostat.topics.seed_validation import check_seed
@@ -189,7 +190,7 @@ class OracleController(Controller):
         self._repair(known)
         return known
 
-    def _weights(self, returns: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _weights(self, returns: Floats) -> Floats:
         if self._method == "cem":
             return elite_weights(returns, self._elite)
         return path_integral_weights(returns, self._temperature)
@@ -259,7 +260,7 @@ def _baseline_action(manifest: Manifest) -> NDArray[Any] | None:
     return np.array(choices if len(choices) > 1 else choices[0])
 
 
-def _directions(manifest: Manifest) -> NDArray[np.float64]:
+def _directions(manifest: Manifest) -> Floats:
     """Return the direction in which each action saves energy: 1 for cooling setpoints, -1 for heating, else 0."""
     directions = {Role.COOLING: 1.0, Role.HEATING: -1.0}
     return np.array([directions.get(binding.role, 0.0) for binding in bind_actions(manifest)])

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from zenostat.agent_sdk.controllers.action_roles import ActionBinding, Role
 from zenostat.agent_sdk.controllers.base import Values
 from zenostat.agent_sdk.controllers.comfort_band import Band, inside
+from zenostat.topics.arrays import Floats
 
 RESET_K = 1.0
 """Distance of all zones from the limit of the band at which water is at its mildest."""
@@ -30,7 +28,7 @@ class PlantRules:
         """Reset the state of the availabilities."""
         self._is_on.clear()
 
-    def act(self, binding: ActionBinding, values: NDArray[np.float64], band: Band) -> Values:
+    def act(self, binding: ActionBinding, values: Floats, band: Band) -> Values:
         """Return the values of one action; empty if it is not a plant action, or its zones are not measured."""
         if binding.role is Role.STORAGE:
             return binding.at(0.0)

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from datetime import datetime, timedelta
 
-import numpy as np
-from numpy.typing import NDArray
-
 from zenostat.agent_sdk.controllers.action_roles import SETPOINTS, ActionBinding, Role, bind_actions
 from zenostat.agent_sdk.controllers.base import Controller, Values
 from zenostat.agent_sdk.controllers.comfort_band import Band, apart, comfort_bands, default_setback, inside
@@ -17,6 +14,7 @@ from zenostat.agent_sdk.controllers.parameters import ControllerMismatch, number
 from zenostat.agent_sdk.controllers.plant import PlantRules
 from zenostat.agent_sdk.controllers.price_peaks import PriceShifts
 from zenostat.bridge.client.sample import SampleView
+from zenostat.topics.arrays import Floats
 from zenostat.topics.energyplus_names import OUTDOOR_TEMPERATURE
 from zenostat.topics.messages import Manifest
 from zenostat.topics.points import value_index
@@ -187,7 +185,7 @@ class RuleBasedController(Controller):
             return low, high
         return apart((low if heating is None else band[0] + heating, high if cooling is None else band[1] - cooling))
 
-    def _is_occupied(self, binding: ActionBinding, comfort: Band, measured: NDArray[np.float64], now: datetime) -> bool:
+    def _is_occupied(self, binding: ActionBinding, comfort: Band, measured: Floats, now: datetime) -> bool:
         """Return whether an action's zones are occupied, or are preconditioned for people who are expected."""
         people = binding.people
         if self._start is not None:
@@ -197,7 +195,7 @@ class RuleBasedController(Controller):
         )
 
     def _is_started(
-        self, binding: ActionBinding, comfort: Band, measured: NDArray[np.float64], expected: datetime, now: datetime
+        self, binding: ActionBinding, comfort: Band, measured: Floats, expected: datetime, now: datetime
     ) -> bool:
         if self._start is None or not binding.temperatures:
             return expected - self._preconditioning <= now
@@ -207,7 +205,7 @@ class RuleBasedController(Controller):
         distance_k = self._distance_k(binding, comfort, measured)
         return self._start.is_started(binding.action.name, distance_k, colder_k, expected, now)
 
-    def _distance_k(self, binding: ActionBinding, comfort: Band, measured: NDArray[np.float64]) -> float:
+    def _distance_k(self, binding: ActionBinding, comfort: Band, measured: Floats) -> float:
         """Return the distance of the action's worst zone to its occupied setpoint, K; at most 0 if there is none."""
         if not binding.temperatures:
             return 0.0

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
+from zenostat.topics.arrays import Floats
 
 Actions = NDArray[Any]
 """Action sequences: shape (sequences, timesteps, *action shape)."""
@@ -29,11 +30,11 @@ class SequenceSearch(Protocol):
     def center(self) -> Actions:
         """Return the most likely sequence, shape (1, timesteps, *action shape)."""
 
-    def update(self, actions: Actions, weights: NDArray[np.float64]) -> None:
+    def update(self, actions: Actions, weights: Floats) -> None:
         """Move the distribution to weighted sequences; the weights add up to 1."""
 
 
-def path_integral_weights(returns: NDArray[np.float64], temperature: float) -> NDArray[np.float64]:
+def path_integral_weights(returns: Floats, temperature: float) -> Floats:
     """Return the weights of MPPI: exp((R - max R) / (temperature * std R)), which add up to 1.
 
     Source: Williams, Aldrich, Theodorou, "Model Predictive Path Integral Control", J. Guidance 40 (2017). The returns
@@ -41,11 +42,11 @@ def path_integral_weights(returns: NDArray[np.float64], temperature: float) -> N
     """
     spread = float(returns.std())
     weights = np.exp((returns - returns.max()) / (temperature * spread)) if spread > 0.0 else np.ones(len(returns))
-    normalized: NDArray[np.float64] = weights / weights.sum()
+    normalized: Floats = weights / weights.sum()
     return normalized
 
 
-def elite_weights(returns: NDArray[np.float64], fraction: float) -> NDArray[np.float64]:
+def elite_weights(returns: Floats, fraction: float) -> Floats:
     """Return the weights of CEM: equal for the best `fraction` of the samples, at least two of them, 0 for the rest.
 
     Source: Rubinstein, Kroese, "The Cross-Entropy Method", Springer 2004.
@@ -98,12 +99,12 @@ class GaussianSearch:
         """Return the center; float32, shape (1, timesteps, actions)."""
         return self._actions(self._center[None].copy())
 
-    def _actions(self, values: NDArray[np.float64]) -> Actions:
+    def _actions(self, values: Floats) -> Actions:
         np.clip(values, self._low, self._high, out=values)
         self._repair(values)
         return values.astype(np.float32)
 
-    def update(self, actions: Actions, weights: NDArray[np.float64]) -> None:
+    def update(self, actions: Actions, weights: Floats) -> None:
         """Move the center to the weighted mean; with `adapt`, the deviation to that of the samples in each block."""
         mean = np.tensordot(weights, actions.astype(np.float64), axes=1)
         if self._adapt:
@@ -130,7 +131,7 @@ class CategoricalSearch:
     ) -> None:
         self._repeats, self._random = _block_lengths(len(center), block), random
         starts = np.concatenate([[0], np.cumsum(self._repeats)[:-1]])
-        self._rows: list[NDArray[np.float64]] = []
+        self._rows: list[Floats] = []
         for action, count in enumerate(choices):
             rows = np.full((len(self._repeats), count), spread / max(count, 1))
             rows[np.arange(len(rows)), center[starts, action]] += 1.0 - spread
@@ -149,7 +150,7 @@ class CategoricalSearch:
         """Return the most likely choices; int64, shape (1, timesteps, discrete actions)."""
         return np.repeat(np.stack([rows.argmax(axis=1) for rows in self._rows], axis=-1)[None], self._repeats, axis=1)
 
-    def update(self, actions: Actions, weights: NDArray[np.float64]) -> None:
+    def update(self, actions: Actions, weights: Floats) -> None:
         """Move the probabilities halfway to the weighted shares of the choices."""
         for action, rows in enumerate(self._rows):
             chosen = actions[:, self._starts, action]

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from datetime import datetime, timedelta
 
-import numpy as np
-from numpy.typing import NDArray
-
 from zenostat.agent_sdk.controllers.action_roles import SETPOINTS, ActionBinding, Role, bind_actions, setpoint_pairs
 from zenostat.agent_sdk.controllers.agent import at_offset
 from zenostat.agent_sdk.controllers.base import Controller, Values
@@ -15,6 +12,7 @@ from zenostat.agent_sdk.controllers.occupancy_times import OccupancyTimes
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch, number
 from zenostat.agent_sdk.controllers.price_peaks import PriceShifts
 from zenostat.bridge.client.sample import SampleView
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Action, Manifest
 from zenostat.topics.points import bounds
 
@@ -108,7 +106,7 @@ class SetpointOffsets(Controller):
             values |= at_offset(action, _clip(action, offsets[binding.role is Role.COOLING]), sample)
         return values
 
-    def _is_occupied(self, binding: ActionBinding, measured: NDArray[np.float64], now: datetime) -> bool:
+    def _is_occupied(self, binding: ActionBinding, measured: Floats, now: datetime) -> bool:
         return self._occupancy.is_occupied(binding.people, measured, now, lambda arrival: arrival - self._lead <= now)
 
     def _apart(self, offsets: Offsets) -> Offsets:

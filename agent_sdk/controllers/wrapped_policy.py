@@ -10,8 +10,6 @@ from queue import SimpleQueue
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.agent_sdk.controllers.base import Controller, Values
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
@@ -23,6 +21,7 @@ from zenostat.agent_sdk.rewards.reward_reader import CUSTOM
 from zenostat.agent_sdk.wrappers.checkpoint import LOGS, frozen_statistics, set_wrapper_states, without_logs
 from zenostat.agent_sdk.wrappers.serialization import apply_wrappers
 from zenostat.bridge.client.sample import SampleView
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Ack, EngineStart, EpisodeStart, Manifest, WeatherSeries
 
 
@@ -177,7 +176,7 @@ class _SampleQueue:
             raise _Canceled
         return self._current
 
-    def send(self, values: NDArray[np.float64], operations: bytes | None = None) -> None:
+    def send(self, values: Floats, operations: bytes | None = None) -> None:
         """Pass the commands on."""
         self.commands.put(named_values(self.manifest, values, operations))
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zenostat.agent_sdk.envs import spaces
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidAction, did_you_mean
 from zenostat.topics.messages import Action, CommandOp, DiscreteAction, Manifest
 from zenostat.topics.points import LARGEST, bound_arrays, contains, describe_violation, value_index
@@ -56,7 +57,7 @@ class Actions:
         """Names of the actions, in order."""
         return [action.name for action in self._actions]
 
-    def values(self, action: ArrayLike) -> NDArray[np.float64]:
+    def values(self, action: ArrayLike) -> Floats:
         """Return a value for each actuator, shape (actuators,), in manifest order and units.
 
         Of a relative action it is the offset.
@@ -70,8 +71,8 @@ class Actions:
         return checked[self._action_index] if len(self._actions) else np.zeros(len(self._action_index))
 
     def command(
-        self, action: ArrayLike, points: NDArray[np.float64], context: dict[int, float | None]
-    ) -> tuple[NDArray[np.float64], bytes | None]:
+        self, action: ArrayLike, points: Floats, context: dict[int, float | None]
+    ) -> tuple[Floats, bytes | None]:
         """Return the values of a command, shape (actuators,), and a `CommandOp` byte for each; None: all are set.
 
         Args:
@@ -82,9 +83,7 @@ class Actions:
         values = self.values(action)
         return values, self.complete(values[None], points[None], [context])
 
-    def complete(
-        self, values: NDArray[np.float64], points: NDArray[np.float64], contexts: Sequence[dict[int, float | None]]
-    ) -> bytes | None:
+    def complete(self, values: Floats, points: Floats, contexts: Sequence[dict[int, float | None]]) -> bytes | None:
         """Complete the commands of several slots in place, and return their operations, as `command` for each.
 
         Args:
@@ -104,14 +103,14 @@ class Actions:
             context.clear()
         return codes.tobytes()
 
-    def commanded(self, values: NDArray[np.float64], operations: bytes | None) -> NDArray[np.float64]:
+    def commanded(self, values: Floats, operations: bytes | None) -> Floats:
         """Return the values of a command with NaN for actuators that no action sets; shape as `values`."""
         if operations is None:
             return values
         codes = np.frombuffer(operations, np.uint8).reshape(values.shape)
         return np.where((self._codes == CommandOp.SET) & (codes == CommandOp.SET), values, np.nan)
 
-    def rows(self, actions: ArrayLike, slots: int, unread: Collection[int] = ()) -> NDArray[np.float64]:
+    def rows(self, actions: ArrayLike, slots: int, unread: Collection[int] = ()) -> Floats:
         """Return the values of several slots, shape (slots, actuators).
 
         Args:
@@ -153,7 +152,7 @@ class Actions:
             context[index] = value
         return context
 
-    def _check(self, action: ArrayLike, slots: int | None = None, unread: Collection[int] = ()) -> NDArray[np.float64]:
+    def _check(self, action: ArrayLike, slots: int | None = None, unread: Collection[int] = ()) -> Floats:
         """Return a copy of a continuous action within its bounds; of several slots, a row for each."""
         values = as_array(action, np.float64)
         shape = self._low.shape if slots is None else (slots, *self._low.shape)
@@ -169,28 +168,28 @@ class Actions:
             inside[list(unread)] = True
         if not inside.all():
             raise InvalidAction(self._describe_violations(values, inside))
-        clipped: NDArray[np.float64] = np.clip(values, self._low, self._high)
+        clipped: Floats = np.clip(values, self._low, self._high)
         return clipped
 
-    def _is_within_bounds(self, values: NDArray[np.float64]) -> bool:
+    def _is_within_bounds(self, values: Floats) -> bool:
         for value, (low, high) in zip(values.tolist(), self._bounds, strict=True):  # noqa: SIM110  # a generator is slow
             if not low <= value <= high:
                 return False
         return True
 
-    def _within_tolerance(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def _within_tolerance(self, values: Floats) -> NDArray[np.bool_]:
         # Rescaling an action in float32 can miss a bound by a few units in the last place; the bound is meant.
         inside: NDArray[np.bool_] = np.isfinite(values) & (values >= self._min) & (values <= self._max)
         return inside  # for an unbounded action, any finite value
 
-    def _describe_violations(self, values: NDArray[np.float64], inside: NDArray[np.bool_]) -> str:
+    def _describe_violations(self, values: Floats, inside: NDArray[np.bool_]) -> str:
         violations = []
         for *slot, index in np.argwhere(~inside).tolist():
             violation = describe_violation(self._actions[index], values[*slot, index])
             violations.append(_slot_prefix(slot) + violation)
         return "; ".join(violations)
 
-    def _from_choices(self, action: ArrayLike) -> NDArray[np.float64]:
+    def _from_choices(self, action: ArrayLike) -> Floats:
         choices: NDArray[Any] = np.atleast_1d(as_array(action, None))
         if choices.shape != (len(self._tables),) or not np.issubdtype(choices.dtype, np.integer):
             raise InvalidAction(f"action {action!r}; {self.space} expected")
@@ -201,7 +200,7 @@ class Actions:
             values[table.columns] = table.rows[choice]
         return values
 
-    def _rows_from_choices(self, actions: ArrayLike, slots: int, unread: Collection[int]) -> NDArray[np.float64]:
+    def _rows_from_choices(self, actions: ArrayLike, slots: int, unread: Collection[int]) -> Floats:
         choices = as_array(actions, None)
         shape = (slots, *(self.space.shape or ()))
         if choices.shape != shape or not np.issubdtype(choices.dtype, np.integer):
@@ -220,7 +219,7 @@ class Actions:
         return values
 
 
-def named_values(manifest: Manifest, values: NDArray[np.float64], operations: bytes | None) -> dict[str, float | None]:
+def named_values(manifest: Manifest, values: Floats, operations: bytes | None) -> dict[str, float | None]:
     """Return a command by actuator; None relinquishes one, and those that it keeps are not in it.
 
     Args:
@@ -240,9 +239,9 @@ def _slot_prefix(slot: list[int]) -> str:
     return f"slot {slot[0]}: " if slot else ""
 
 
-def _slack(bound: NDArray[np.float64]) -> NDArray[np.float64]:
+def _slack(bound: Floats) -> Floats:
     """Four units in the last place of float32 at a bound."""
-    size: NDArray[np.float64] = np.spacing(np.where(np.isfinite(bound), np.abs(bound), 1.0).astype(np.float32))
+    size: Floats = np.spacing(np.where(np.isfinite(bound), np.abs(bound), 1.0).astype(np.float32))
     return 4.0 * size.astype(np.float64)
 
 
@@ -290,7 +289,7 @@ class _Offsets:
             str(a.baseline_sensor) in sensors and sensors[str(a.baseline_sensor)].lead_s for _, a in chosen
         )
 
-    def add(self, values: NDArray[np.float64], codes: NDArray[np.uint8], points: NDArray[np.float64]) -> None:
+    def add(self, values: Floats, codes: NDArray[np.uint8], points: Floats) -> None:
         """Replace offsets by absolute values within the actuators' bounds, and those of 0 by relinquishing."""
         offsets, columns = values[:, self._columns], self._columns
         is_zero = np.abs(offsets) <= self._resolution

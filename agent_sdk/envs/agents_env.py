@@ -17,6 +17,7 @@ from zenostat.agent_sdk.envs.connection import AGENT, BUSY
 from zenostat.agent_sdk.envs.space_names import by_name
 from zenostat.agent_sdk.rewards.custom import NamedValues, finite_term
 from zenostat.bridge.client.thread_guard import one_thread
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, did_you_mean
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.messages import Manifest
@@ -34,7 +35,7 @@ class RewardsOfAgents(Protocol):
     def reset(self) -> None:
         """Reset the state for a new episode."""
 
-    def __call__(self, values: NDArray[np.float64], begin: datetime, reward: float) -> dict[str, dict[str, float]]:
+    def __call__(self, values: Floats, begin: datetime, reward: float) -> dict[str, dict[str, float]]:
         """Return the terms of each agent's reward.
 
         Args:
@@ -53,7 +54,7 @@ class RewardFunctionOfAgents:
     def reset(self) -> None:
         """Do nothing: a function has no state."""
 
-    def __call__(self, values: NDArray[np.float64], begin: datetime, reward: float) -> dict[str, dict[str, float]]:  # noqa: ARG002
+    def __call__(self, values: Floats, begin: datetime, reward: float) -> dict[str, dict[str, float]]:  # noqa: ARG002
         """Return the reward of each agent as its only term."""
         rewards = self._function(self._named_values(values.tolist()), begin)
         if not isinstance(rewards, Mapping) or set(rewards) != set(self._agents):

@@ -26,6 +26,7 @@ from zenostat.bridge.client.connection import Connection
 from zenostat.bridge.client.controller_link import ControllerLink, open_link
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics import codec
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import BusError, EpisodeChanged, InvalidAction, InvalidConfig, NodeNotFound
 from zenostat.topics.messages import CommandOp, CreateBranch, EpisodeStart, Sample, SimulatePlan
 
@@ -49,13 +50,13 @@ class Rollout:
         metrics: the quantities behind the rewards by name, in the same form.
     """
 
-    rewards: NDArray[np.float64]
+    rewards: Floats
     observations: NDArray[np.float32]
     lengths: NDArray[np.intp]
     terminated: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
-    terms: dict[str, NDArray[np.float64]]
-    metrics: dict[str, NDArray[np.float64]]
+    terms: dict[str, Floats]
+    metrics: dict[str, Floats]
 
 
 class BranchVectorEnv(BuildingVectorEnv):
@@ -83,7 +84,7 @@ class BranchVectorEnv(BuildingVectorEnv):
         state: Mapping[str, Any],
         start: Infos,
         undo: ExitStack,
-        scheduled: dict[int, NDArray[np.float64]] | None = None,
+        scheduled: dict[int, Floats] | None = None,
     ) -> None:
         self._scheduled = {} if scheduled is None else scheduled
         count = link.manifest.slots
@@ -124,7 +125,7 @@ class BranchVectorEnv(BuildingVectorEnv):
             )
         return []
 
-    def plan(self, actions: ArrayLike) -> NDArray[np.float64]:
+    def plan(self, actions: ArrayLike) -> Floats:
         """Simulate a sequence of actions in each slot; return the rewards, shape (slots, timesteps); see `rollout`."""
         return self.rollout(actions).rewards
 
@@ -209,7 +210,7 @@ class BranchVectorEnv(BuildingVectorEnv):
                 yield sample
                 first += 1
 
-    def _known_points(self, most: int) -> list[NDArray[np.float64]]:
+    def _known_points(self, most: int) -> list[Floats]:
         """Return the points at the present sample and, as far as they are known, at those that follow it.
 
         An offset is relative to the sample of its timestep. A later one is read only if all values that it needs are
@@ -225,9 +226,7 @@ class BranchVectorEnv(BuildingVectorEnv):
                 points.append(np.tile(self._scheduled[step + len(points)], (self.num_envs, 1)))
         return points
 
-    def _encoded(
-        self, sequences: NDArray[Any], points: Sequence[NDArray[np.float64]]
-    ) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
+    def _encoded(self, sequences: NDArray[Any], points: Sequence[Floats]) -> tuple[Floats, NDArray[np.uint8] | None]:
         """Return commands and operations of each timestep, shape (timesteps, slots, actuators).
 
         Args:
@@ -248,7 +247,7 @@ class BranchVectorEnv(BuildingVectorEnv):
         joined = b"".join(every if code is None else code for code in codes)
         return np.stack(values), np.frombuffer(joined, np.uint8).reshape(len(codes), *values[0].shape)
 
-    def _command(self, actions: ArrayLike, unread: Sequence[int]) -> tuple[NDArray[np.float64], bytes | None]:
+    def _command(self, actions: ArrayLike, unread: Sequence[int]) -> tuple[Floats, bytes | None]:
         self._state.apply_programs(self._begin(), self.set_context)
         return super()._command(actions, unread)
 
@@ -257,7 +256,7 @@ class BranchVectorEnv(BuildingVectorEnv):
         assert self._sample is not None
         return self._sample.times[int((~self._done).argmax())]
 
-    def _simulate(self, values: NDArray[np.float64], operations: NDArray[np.uint8] | None) -> list[VectorSample]:
+    def _simulate(self, values: Floats, operations: NDArray[np.uint8] | None) -> list[VectorSample]:
         link = self._branch_link
         samples: list[VectorSample] = []
         most = self._timesteps_per_request()
@@ -297,8 +296,8 @@ class _OutcomeSeries:
 
     def __init__(self, slots: int, timesteps: int) -> None:
         self._shape = (slots, timesteps)
-        self.terms: dict[str, NDArray[np.float64]] = {}
-        self.metrics: dict[str, NDArray[np.float64]] = {}
+        self.terms: dict[str, Floats] = {}
+        self.metrics: dict[str, Floats] = {}
 
     def add(self, timestep: int, outcome: Outcome, live: NDArray[np.bool_]) -> None:
         """Add the outcomes of the slots whose episodes go on."""
@@ -314,7 +313,7 @@ class _RewardPerSlot(BoundReward):
     def __init__(self, rewards: Sequence[BoundReward]) -> None:
         self._rewards = rewards
 
-    def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
+    def __call__(self, values: Floats, begin: Begin) -> Outcome:
         begins = begin if isinstance(begin, Sequence) else [begin] * len(values)
         outcomes = [reward(row, at) for reward, row, at in zip(self._rewards, values, begins, strict=True)]
         terms = {name: np.array([outcome.terms[name] for outcome in outcomes]) for name in outcomes[0].terms}

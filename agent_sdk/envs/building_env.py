@@ -36,6 +36,7 @@ from zenostat.agent_sdk.rewards import AnyReward, Reward
 from zenostat.bridge.client.controller_link import ControllerLink
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import EpisodeChanged, UsageError
 from zenostat.topics.messages import WeatherSeries
 from zenostat.topics.points import observed_indices
@@ -143,9 +144,9 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         self._time, self._observed_indices = manifest.task.time, observed_indices(manifest)
 
         self._sample: SampleView | None = None
-        self._scheduled: dict[int, NDArray[np.float64]] = {}
+        self._scheduled: dict[int, Floats] = {}
         self._ended = self._busy = False
-        self._pending: tuple[ArrayLike, NDArray[np.float64]] | None = None
+        self._pending: tuple[ArrayLike, Floats] | None = None
         self._infos = SampleInfos(has_limits=self._state.limits is not None)
 
     @property
@@ -266,7 +267,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
 
     def plan(
         self, actions: ArrayLike, *, snapshot: Snapshot | None = None, forecast_error: Sequence[float] = ()
-    ) -> NDArray[np.float64]:
+    ) -> Floats:
         """Simulate sequences of actions in branches, and return the rewards, shape (sequences, timesteps).
 
         Args:
@@ -440,7 +441,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         """Return columns of this episode's weather file, noise included; `UnknownName` lists the columns."""
         return self.link.weather(columns)
 
-    def _observed(self, values: NDArray[np.float64], begin: datetime, end: datetime) -> Observation:
+    def _observed(self, values: Floats, begin: datetime, end: datetime) -> Observation:
         if self._observed_indices is not None:
             values = values[self._observed_indices]
         if not self._time:

@@ -7,14 +7,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
 from zenostat.agent_sdk.envs import arguments
 from zenostat.agent_sdk.envs.agent_parts import AgentPart, indices_of
 from zenostat.agent_sdk.envs.agents_env import AgentRewards, AgentsEnv, RewardFunctionOfAgents, RewardsOfAgents
 from zenostat.agent_sdk.envs.district_env import DistrictEnv
 from zenostat.agent_sdk.rewards import AnyReward, BoundReward, read_reward
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.messages import Manifest
 
@@ -147,7 +145,7 @@ class RewardByAgent:
         for bound in self._bound.values():
             bound.reset()
 
-    def __call__(self, values: NDArray[np.float64], begin: datetime, reward: float) -> dict[str, dict[str, float]]:  # noqa: ARG002
+    def __call__(self, values: Floats, begin: datetime, reward: float) -> dict[str, dict[str, float]]:  # noqa: ARG002
         """Return the terms of each agent's reward."""
         return {
             name: {term: float(value) for term, value in bound(values, begin).terms.items()}

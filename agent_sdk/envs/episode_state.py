@@ -11,11 +11,11 @@ from typing import Any, Generic, TypeVar
 from weakref import WeakKeyDictionary, WeakSet
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.agent_sdk.envs.termination import TerminationLimits
 from zenostat.agent_sdk.rewards import BoundReward, Reward
 from zenostat.agent_sdk.rewards.base import Begin
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import EpisodeChanged
 from zenostat.topics.messages import Manifest
 
@@ -73,7 +73,7 @@ class EpisodeState(Generic[C]):
             if stateful is not None:
                 stateful.reset(slots)
 
-    def unrewarded(self, values: NDArray[np.float64], begin: Begin) -> dict[str, Any]:
+    def unrewarded(self, values: Floats, begin: Begin) -> dict[str, Any]:
         """Return the reward's entries in the info of a reset, with NaN for each number, so that all infos have them.
 
         A copy of the reward is called once, at the first sample, to learn its keys.

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from datetime import MAXYEAR, MINYEAR, datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import TimeField
 
 _BEGIN: dict[TimeField, Callable[[datetime], float]] = {
@@ -33,7 +33,7 @@ BOUNDS: dict[TimeField, tuple[float, float]] = {
 """Minimum and maximum of each field."""
 
 
-def time_features(fields: Sequence[TimeField], begin: datetime, end: datetime) -> NDArray[np.float64]:
+def time_features(fields: Sequence[TimeField], begin: datetime, end: datetime) -> Floats:
     """Return the fields of the timestep from `begin` to `end` (equal for sample 0), shape (fields,).
 
     `hour` and the date are those of its beginning, `minutes` and `current_time` (h) those of its end.

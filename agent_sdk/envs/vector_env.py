@@ -32,6 +32,7 @@ from zenostat.agent_sdk.envs.vector_sample import VectorSample
 from zenostat.agent_sdk.rewards import AnyReward
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import EpisodeChanged, InvalidConfig, did_you_mean
 from zenostat.topics.messages import WeatherSeries
 from zenostat.topics.points import observed_indices
@@ -39,7 +40,7 @@ from zenostat.topics.scenario_fields import NodeArguments, expand_arguments
 
 Observations = NDArray[np.float32]
 Flags = NDArray[np.bool_]
-StepResult = tuple[Observations, NDArray[np.float64], Flags, Flags, Infos]
+StepResult = tuple[Observations, Floats, Flags, Flags, Infos]
 
 MAX_SLOTS = 256
 
@@ -267,7 +268,7 @@ class BuildingVectorEnv(SlotAccess, ConnectedEnv, VectorEnv[Observations, Any, N
 
     def _outcome(
         self, sample: VectorSample, entries: Infos, restarted: list[int], ended: VectorSample | None
-    ) -> tuple[NDArray[np.float64], Flags, Flags, Infos]:
+    ) -> tuple[Floats, Flags, Flags, Infos]:
         """Update the observations; return rewards, terminated, truncated and infos of the slots that have advanced.
 
         `ended` has the last samples of the episodes before those that have `restarted`.
@@ -315,7 +316,7 @@ class BuildingVectorEnv(SlotAccess, ConnectedEnv, VectorEnv[Observations, Any, N
 
     # Commands
 
-    def _command(self, actions: ArrayLike, unread: Sequence[int]) -> tuple[NDArray[np.float64], bytes | None]:
+    def _command(self, actions: ArrayLike, unread: Sequence[int]) -> tuple[Floats, bytes | None]:
         assert self._sample is not None
         values = self._actions.rows(actions, self.num_envs, unread)
         return values, self._actions.complete(values, self._sample.fault_free_values, self._state.context)

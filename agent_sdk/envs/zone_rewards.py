@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from datetime import datetime
 
-import numpy as np
-from numpy.typing import NDArray
-
 from zenostat.agent_sdk.envs import arguments
 from zenostat.agent_sdk.envs.zone_partition import ZoneAgent
 from zenostat.agent_sdk.rewards import AnyReward, BoundReward, read_reward
 from zenostat.agent_sdk.rewards.linear import WeightedReward
 from zenostat.agent_sdk.rewards.selectors import temperatures
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Manifest
 
@@ -51,7 +49,7 @@ class SharedReward:
             if bound is not None:
                 bound.reset()
 
-    def __call__(self, values: NDArray[np.float64], begin: datetime, reward: float) -> dict[str, dict[str, float]]:
+    def __call__(self, values: Floats, begin: datetime, reward: float) -> dict[str, dict[str, float]]:
         """Return the terms of each agent's reward; all of them add up to the building's `reward`."""
         comforts = {
             name: 0.0 if bound is None else float(bound(values, begin).terms["comfort"])

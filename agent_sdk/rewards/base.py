@@ -7,9 +7,7 @@ from collections.abc import Sequence
 from datetime import datetime
 from typing import Any, NamedTuple, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Manifest
 
 Terms = dict[str, Any]
@@ -31,7 +29,7 @@ class BoundReward(ABC):
     """A reward bound to the points of one node. It may have state of the running episode."""
 
     @abstractmethod
-    def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
+    def __call__(self, values: Floats, begin: Begin) -> Outcome:
         """Return the reward of a timestep.
 
         Args:

@@ -9,9 +9,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.agent_sdk.rewards.base import Begin, BoundReward, Outcome, Reward, Terms
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 from zenostat.topics.messages import Manifest
 
@@ -149,7 +149,7 @@ class _BoundFunction(BoundReward):
     def __init__(self, function: RewardFunction, manifest: Manifest) -> None:
         self._function, self._values = function, NamedValues(manifest)
 
-    def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
+    def __call__(self, values: Floats, begin: Begin) -> Outcome:
         columns = values.tolist() if values.ndim == 1 else np.moveaxis(values, -1, 0)
         result = self._evaluate(self._values(columns), begin)
         named = result if isinstance(result, Mapping) else {"reward": result}

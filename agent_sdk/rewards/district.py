@@ -6,7 +6,6 @@ from datetime import datetime
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from typing_extensions import override
 
@@ -18,6 +17,7 @@ from zenostat.agent_sdk.rewards.selectors import indices
 from zenostat.agent_sdk.rewards.slot_state import SlotState
 from zenostat.agent_sdk.rewards.terms import Quantity, Term, TermSum
 from zenostat.agent_sdk.time_series import price_per_kwh
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.messages import Manifest
 from zenostat.topics.points import is_mean, value_index
@@ -150,7 +150,7 @@ class NetPower:
         self._drawn = EnergyMeter(kind, consumption, manifest)
         self._fed = EnergyMeter(kind, generation, manifest) if generation else None
 
-    def kw(self, values: NDArray[np.float64], metrics: Terms) -> Any:
+    def kw(self, values: Floats, metrics: Terms) -> Any:
         """Return the net mean power of the timestep in kW, with the leading shape of `values`. Metric: net_kw."""
         net_kw = metrics.get("net_kw")
         if net_kw is None:
@@ -159,7 +159,7 @@ class NetPower:
             net_kw = metrics["net_kw"] = net_kwh * self._drawn.kw_per_kwh
         return net_kw
 
-    def kwh(self, values: NDArray[np.float64], metrics: Terms) -> Any:
+    def kwh(self, values: Floats, metrics: Terms) -> Any:
         """Return the net energy of the timestep in kWh; as `kw`."""
         return self.kw(values, metrics) / self._drawn.kw_per_kwh
 
@@ -171,7 +171,7 @@ class DailyPeakIncrease(Quantity):
         self._net, self._state = net, state
 
     @override
-    def measure(self, values: NDArray[np.float64], begin: Begin, metrics: Terms) -> Any:
+    def measure(self, values: Floats, begin: Begin, metrics: Terms) -> Any:
         net_kw = self._net.kw(values, metrics)
         shape = np.shape(net_kw)
         former, day = self._state.of(shape), np.broadcast_to(_days(begin), shape)
@@ -197,7 +197,7 @@ class LimitExcess(Quantity):
         self._high = np.array([high for _, high in limits])
 
     @override
-    def measure(self, values: NDArray[np.float64], begin: Begin, metrics: Terms) -> Any:
+    def measure(self, values: Floats, begin: Begin, metrics: Terms) -> Any:
         excess = np.maximum(values.take(self._points, axis=-1) / self._high - 1.0, 0.0)
         total = metrics["limit_excess"] = np.add.reduce(excess, axis=-1)
         return total
@@ -210,7 +210,7 @@ class Ramp(Quantity):
         self._net, self._state = net, state
 
     @override
-    def measure(self, values: NDArray[np.float64], begin: Begin, metrics: Terms) -> Any:
+    def measure(self, values: Floats, begin: Begin, metrics: Terms) -> Any:
         net_kw = self._net.kw(values, metrics)
         before_kw = self._state.of(np.shape(net_kw))["before_kw"]
         ramp_kw = metrics["ramp_kw"] = np.where(before_kw == _UNKNOWN, 0.0, np.abs(net_kw - before_kw))[()]
@@ -236,7 +236,7 @@ class Cost(Quantity):
         self._net, self._price, self._per_kwh, self._state, self._is_mean = net, price, per_kwh, state, is_mean
 
     @override
-    def measure(self, values: NDArray[np.float64], begin: Begin, metrics: Terms) -> Any:
+    def measure(self, values: Floats, begin: Begin, metrics: Terms) -> Any:
         kwh = np.maximum(self._net.kwh(values, metrics), 0.0)
         price = values.take(self._price, axis=-1) * self._per_kwh
         if self._is_mean:
@@ -255,6 +255,6 @@ class FeedIn(Quantity):
         self._net = net
 
     @override
-    def measure(self, values: NDArray[np.float64], begin: Begin, metrics: Terms) -> Any:
+    def measure(self, values: Floats, begin: Begin, metrics: Terms) -> Any:
         kwh = metrics["feed_in_kwh"] = np.maximum(-self._net.kwh(values, metrics), 0.0)
         return kwh

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.agent_sdk.rewards.selectors import check_distinct, energy_point, indices, observed_meters, of_variables
+from zenostat.topics.arrays import Floats
 from zenostat.topics.energyplus_names import HVAC_POWER
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Manifest
@@ -48,7 +48,7 @@ class EnergyMeter:
         self.kw_per_kwh = 3600.0 / manifest.step_s
         """Mean power in kW of a timestep that used 1 kWh."""
 
-    def kwh(self, values: NDArray[np.float64]) -> Any:
+    def kwh(self, values: Floats) -> Any:
         """Return the energy of the timestep in kWh, with the leading shape of `values`."""
         return np.add.reduce(values.take(self._indices, axis=-1) * self._kwh, axis=-1)
 

@@ -6,9 +6,9 @@ from datetime import datetime
 from typing import Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.agent_sdk.rewards.base import Begin
+from zenostat.topics.arrays import Floats
 
 Pair = TypeVar("Pair", bound=tuple[float, ...])
 
@@ -35,7 +35,7 @@ class Seasons(Generic[Pair]):
             return self.summer if self.begin <= month_day <= self.end else self.winter
         return self.winter if self.end < month_day < self.begin else self.summer
 
-    def columns(self, begin: Begin) -> tuple[float, ...] | tuple[NDArray[np.float64], ...]:
+    def columns(self, begin: Begin) -> tuple[float, ...] | tuple[Floats, ...]:
         """Return the numbers of a timestep: floats if all slots have the same, else columns with a row per slot."""
         if isinstance(begin, datetime):
             return self.band(begin)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zenostat.topics.arrays import Floats
 from zenostat.topics.energyplus_names import HVAC_POWER, ZONE_TEMPERATURES
 from zenostat.topics.errors import InvalidConfig, did_you_mean, repeated
 from zenostat.topics.messages import Aggregation, Manifest, Sensor
@@ -26,7 +27,7 @@ def indices(points: Sequence[int]) -> Indices:
     return np.array(points, np.intp)
 
 
-def sum_at(values: NDArray[np.float64], points: Indices) -> Any:
+def sum_at(values: Floats, points: Indices) -> Any:
     """Return the sum of some points, with the leading shape of `values`."""
     if len(points) == 1:
         return values.take(points[0], axis=-1)

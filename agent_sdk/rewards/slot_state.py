@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig
 
-Numbers = dict[str, NDArray[np.float64]]
+Numbers = dict[str, Floats]
 
 
 class SlotState:
@@ -41,7 +41,7 @@ class SlotState:
             )
         return self._numbers
 
-    def store(self, **numbers: NDArray[np.float64]) -> None:
+    def store(self, **numbers: Floats) -> None:
         """Replace some of the numbers."""
         self._numbers |= {name: np.asarray(array, np.float64) for name, array in numbers.items()}
 

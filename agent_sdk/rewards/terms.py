@@ -8,7 +8,6 @@ from datetime import datetime
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from typing_extensions import override
 
 from zenostat.agent_sdk.rewards.base import Begin, BoundReward, Outcome, Terms
@@ -16,11 +15,12 @@ from zenostat.agent_sdk.rewards.energy_meter import EnergyMeter
 from zenostat.agent_sdk.rewards.seasons import Seasons
 from zenostat.agent_sdk.rewards.selectors import Indices, sum_at
 from zenostat.agent_sdk.rewards.slot_state import SlotState
+from zenostat.topics.arrays import Floats
 
 Band = tuple[float, float]
 """Lowest and highest comfortable air temperature, degC, both inclusive."""
 
-Votes = Callable[[NDArray[np.float64], Begin], NDArray[np.float64]]
+Votes = Callable[[Floats, Begin], Floats]
 """A function from the values of a timestep to PMV, or PPD in percent, by zone."""
 
 _MAX_SEQUENTIAL_SUM = 7
@@ -34,7 +34,7 @@ class Quantity(ABC):
     """A quantity that a term weighs."""
 
     @abstractmethod
-    def measure(self, values: NDArray[np.float64], begin: Begin, metrics: Terms) -> Any:
+    def measure(self, values: Floats, begin: Begin, metrics: Terms) -> Any:
         """Return the quantity of a timestep and add its metrics.
 
         Args:
@@ -77,7 +77,7 @@ class TermSum(BoundReward):
         self._slot_state, self._keeps_state = slot_state, keeps_state
 
     @override
-    def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
+    def __call__(self, values: Floats, begin: Begin) -> Outcome:
         metrics, terms, total = self._metrics.copy(), {}, None
         for name, factor, varies, measure in self._terms:
             term = terms[name] = (factor(begin) if varies else factor) * measure(values, begin, metrics)
@@ -111,7 +111,7 @@ class Power(Quantity):
         self._points, self._to_w = points, to_w
 
     @override
-    def measure(self, values: NDArray[np.float64], begin: Begin, metrics: Terms) -> Any:
+    def measure(self, values: Floats, begin: Begin, metrics: Terms) -> Any:
         power_w = metrics["power_w"] = sum_at(values, self._points) * self._to_w
         return power_w
 
@@ -127,14 +127,14 @@ class DegreesOutside(Quantity):
     def __init__(self, season: Seasons[Band], zones: Indices) -> None:
         self.season, self.zones = season, zones
 
-    def by_zone(self, values: NDArray[np.float64], begin: Begin) -> NDArray[np.float64]:
+    def by_zone(self, values: Floats, begin: Begin) -> Floats:
         """Return the degrees outside the band of each zone."""
         low, high = self.season.columns(begin)
         air = values.take(self.zones, axis=-1)
         return np.maximum(np.maximum(low - air, air - high), 0.0)
 
     @override
-    def measure(self, values: NDArray[np.float64], begin: Begin, metrics: Terms) -> Any:
+    def measure(self, values: Floats, begin: Begin, metrics: Terms) -> Any:
         if values.ndim == 1 and len(self.zones) <= _MAX_SEQUENTIAL_SUM and isinstance(begin, datetime):
             low, high = self.season.band(begin)
             outside = 0.0
@@ -153,7 +153,7 @@ class ExponentialDegrees(Quantity):
         self._degrees = degrees
 
     @override
-    def measure(self, values: NDArray[np.float64], begin: Begin, metrics: Terms) -> Any:
+    def measure(self, values: Floats, begin: Begin, metrics: Terms) -> Any:
         outside = self._degrees.by_zone(values, begin)
         metrics["degrees_outside"] = outside.sum(axis=-1)
         return np.where(outside > 0.0, np.exp(np.minimum(outside, MAX_K)), 0.0).sum(axis=-1)
@@ -174,7 +174,7 @@ class OccupiedDegrees(Quantity):
         self._by_number, self._empty_weight = by_number, empty_weight
 
     @override
-    def measure(self, values: NDArray[np.float64], begin: Begin, metrics: Terms) -> Any:
+    def measure(self, values: Floats, begin: Begin, metrics: Terms) -> Any:
         people = values.take(self._people, axis=-1)
         weight = np.where(people > 0.0, people if self._by_number else 1.0, self._empty_weight)
         outside = metrics["degrees_outside"] = (weight * self._degrees.by_zone(values, begin)).sum(axis=-1)
@@ -196,7 +196,7 @@ class SetpointDegrees(Quantity):
         self._air, self._heating, self._cooling, self._threshold_k = air, heating, cooling, threshold_k
 
     @override
-    def measure(self, values: NDArray[np.float64], begin: Begin, metrics: Terms) -> Any:
+    def measure(self, values: Floats, begin: Begin, metrics: Terms) -> Any:
         air = values.take(self._air, axis=-1)
         cold = values.take(self._heating, axis=-1) - self._threshold_k - air
         warm = air - values.take(self._cooling, axis=-1) - self._threshold_k
@@ -217,7 +217,7 @@ class ExcessVotes(Quantity):
         self._votes, self._limit, self._mean_metric = votes, limit, mean_metric
 
     @override
-    def measure(self, values: NDArray[np.float64], begin: Begin, metrics: Terms) -> Any:
+    def measure(self, values: Floats, begin: Begin, metrics: Terms) -> Any:
         votes = self._votes(values, begin)
         beyond = metrics["beyond_limit"] = np.maximum(np.abs(votes) - self._limit, 0.0).sum(axis=-1)
         metrics[self._mean_metric] = votes.mean(axis=-1)
@@ -235,7 +235,7 @@ class EnergyQuantity(Quantity):
     def __init__(self, meter: EnergyMeter, energy_metric: str = "energy_kwh") -> None:
         self._meter, self._energy_metric = meter, energy_metric
 
-    def kwh(self, values: NDArray[np.float64], metrics: Terms) -> Any:
+    def kwh(self, values: Floats, metrics: Terms) -> Any:
         """Return the energy in kWh and add it to the metrics."""
         kwh = metrics.get(self._energy_metric)
         if kwh is None:
@@ -247,7 +247,7 @@ class MeanPower(EnergyQuantity):
     """The mean power of the timestep in W. Metrics: power_w, energy_kwh."""
 
     @override
-    def measure(self, values: NDArray[np.float64], begin: Begin, metrics: Terms) -> Any:
+    def measure(self, values: Floats, begin: Begin, metrics: Terms) -> Any:
         power_w = metrics["power_w"] = self.kwh(values, metrics) * self._meter.kw_per_kwh * 1e3
         return power_w
 
@@ -277,7 +277,7 @@ class PricedEnergy(EnergyQuantity):
         self._signal, self._per_kwh, self._metric = signal, per_kwh, metric
 
     @override
-    def measure(self, values: NDArray[np.float64], begin: Begin, metrics: Terms) -> Any:
+    def measure(self, values: Floats, begin: Begin, metrics: Terms) -> Any:
         amount = metrics[self._metric] = self.kwh(values, metrics) * (self._signal.at(begin) * self._per_kwh)
         return amount
 
@@ -299,7 +299,7 @@ class PeakIncrease(EnergyQuantity):
         self._slot_state, self._threshold_kw = slot_state, threshold_kw
 
     @override
-    def measure(self, values: NDArray[np.float64], begin: Begin, metrics: Terms) -> Any:
+    def measure(self, values: Floats, begin: Begin, metrics: Terms) -> Any:
         demand_kw = self.kwh(values, metrics) * self._meter.kw_per_kwh
         shape = np.shape(demand_kw)
         former, month = self._slot_state.of(shape), np.broadcast_to(_months(begin), shape)
@@ -330,7 +330,7 @@ class RelativeToMaximum(Quantity):
         self._quantity, self._slot_state, self._maximum, self._moving = quantity, slot_state, maximum, moving
 
     @override
-    def measure(self, values: NDArray[np.float64], begin: Begin, metrics: Terms) -> Any:
+    def measure(self, values: Floats, begin: Begin, metrics: Terms) -> Any:
         amount = self._quantity.measure(values, begin, metrics)
         maximum = self._slot_state.of(values.shape[:-1])[self._maximum]
         if self._moving:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from typing_extensions import override
 
@@ -16,6 +15,7 @@ from zenostat.agent_sdk.rewards.comfort_band import Seasonal
 from zenostat.agent_sdk.rewards.config import Names
 from zenostat.agent_sdk.rewards.selectors import Indices, indices, named, of_variables, powers, same_zone, temperatures
 from zenostat.agent_sdk.rewards.terms import ExcessVotes, Power, Term, TermSum, Votes
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import install_command
 from zenostat.topics.messages import Manifest
@@ -112,7 +112,7 @@ class ThermalSensationReward(Seasonal):
         clothing = self._seasons((self.clo_winter,), (self.clo_summer,), manifest)
         pmv_ppd = _library(self.kind)
 
-        def votes(values: NDArray[np.float64], begin: Begin) -> NDArray[np.float64]:
+        def votes(values: Floats, begin: Begin) -> Floats:
             (clo,) = clothing.columns(begin)
             result = pmv_ppd(
                 tdb=values.take(air, axis=-1), tr=values.take(radiant, axis=-1), rh=values.take(humid, axis=-1),
@@ -142,10 +142,10 @@ class ThermalSensationReward(Seasonal):
         return indices(sensors)
 
 
-def percentage_dissatisfied(pmv: NDArray[np.float64]) -> NDArray[np.float64]:
+def percentage_dissatisfied(pmv: Floats) -> Floats:
     """Return PPD in percent (5 to 100) for a predicted mean vote; ISO 7730, equation 5."""
     squared = np.square(pmv)
-    ppd: NDArray[np.float64] = 100.0 - 95.0 * np.exp(-0.03353 * np.square(squared) - 0.2179 * squared)
+    ppd: Floats = 100.0 - 95.0 * np.exp(-0.03353 * np.square(squared) - 0.2179 * squared)
     return ppd
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from datetime import datetime, timedelta
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.bridge.client.sample import SampleView
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Flag, Manifest, Meter, Sample, Sensor
 from zenostat.topics.points import bounds, value_index
 
@@ -15,25 +15,23 @@ _RANGES = {"degC": (10.0, 35.0), "percent": (0.0, 100.0), "W": (0.0, 2e4), "J": 
 _MAX_PEOPLE = 6
 
 
-def values(manifest: Manifest, count: int, seed: int) -> NDArray[np.float64]:
+def values(manifest: Manifest, count: int, seed: int) -> Floats:
     """Return values of shape (count, points) within the points' bounds; zones are unoccupied half of the time."""
     random = np.random.default_rng([seed, 1])
-    columns: NDArray[np.float64] = np.empty((count, len(manifest.points)))
+    columns: Floats = np.empty((count, len(manifest.points)))
     for index, point in enumerate(manifest.points):
         columns[:, index] = _column(point, count, random)
     return columns
 
 
-def _column(point: Sensor | Meter, count: int, random: np.random.Generator) -> NDArray[np.float64]:
+def _column(point: Sensor | Meter, count: int, random: np.random.Generator) -> Floats:
     if isinstance(point, Sensor) and point.variable.endswith("Occupant Count"):
-        people: NDArray[np.float64] = random.integers(1, _MAX_PEOPLE, count) * random.integers(0, 2, count).astype(
-            float
-        )
+        people: Floats = random.integers(1, _MAX_PEOPLE, count) * random.integers(0, 2, count).astype(float)
         return people
     low, high = _RANGES.get(point.unit, (0.0, 1.0))
     minimum, maximum = bounds(point)
     low, high = max(low, minimum), min(high, maximum)
-    column: NDArray[np.float64] = random.uniform(low, max(low, high), count)
+    column: Floats = random.uniform(low, max(low, high), count)
     return column
 
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box
-from numpy.typing import NDArray
 
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
 from zenostat.agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
 from zenostat.agent_sdk.wrappers.names import indices_of, require_mapping, require_units
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.messages import TimeField
 
@@ -36,7 +36,7 @@ _EQUIVALENT_FIELDS = {
 }
 
 
-def cyclic(parts: NDArray[np.float64]) -> NDArray[np.float64]:
+def cyclic(parts: Floats) -> Floats:
     """Return the sine and cosine of fractions of a turn.
 
     Args:
@@ -46,7 +46,7 @@ def cyclic(parts: NDArray[np.float64]) -> NDArray[np.float64]:
         Shape (…, 2 n), sine and cosine of each fraction side by side.
     """
     turn = 2 * np.pi * parts
-    pairs: NDArray[np.float64] = np.stack([np.sin(turn), np.cos(turn)], axis=-1)
+    pairs: Floats = np.stack([np.sin(turn), np.cos(turn)], axis=-1)
     return pairs.reshape(*parts.shape[:-1], -1)
 
 

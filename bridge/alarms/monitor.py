@@ -20,6 +20,7 @@ from zenostat.bridge.alarms.reports import Moment, Record
 from zenostat.bridge.alarms.rules import ROUNDING, PointAlarm, applies_at, point_alarms
 from zenostat.bridge.alarms.state_machine import Alarm, Change
 from zenostat.topics.alarm_rules import AlarmRule, AlarmRules
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import RequestRejected, UnknownName, did_you_mean
 from zenostat.topics.messages import (
     Acknowledge,
@@ -162,7 +163,7 @@ class AlarmMonitor:
         self._latest = [*zip(episode, step, strict=True)]
         return events
 
-    def _inhibition(self, table: NDArray[np.float64], step: Sequence[int]) -> NDArray[np.bool_]:
+    def _inhibition(self, table: Floats, step: Sequence[int]) -> NDArray[np.bool_]:
         """Return which alarms do not apply at this sample, shape (slots, alarms)."""
         inhibited = np.zeros(self._inhibited.shape, bool)
         inhibited[:, self._occupied] = table[:, self._occupants] <= 0.0  # not where their number is missing
@@ -324,7 +325,7 @@ class _Conditions:
     def __bool__(self) -> bool:
         return len(self._indices) > 0
 
-    def hold(self, table: NDArray[np.float64], alarms: int) -> NDArray[np.bool_]:
+    def hold(self, table: Floats, alarms: int) -> NDArray[np.bool_]:
         """Return which alarms are suppressed by the values of a sample, shape (slots, alarms)."""
         values, suppressed = table[:, self._columns], np.zeros((len(table), alarms), bool)
         suppressed[:, self._indices] = (values > self._above) & (values < self._below)  # not where it is missing

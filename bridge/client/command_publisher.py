@@ -6,11 +6,11 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 import zenoh
-from numpy.typing import NDArray
 from zenoh import CongestionControl
 
 from zenostat.bridge.client.presence import undeclare
 from zenostat.topics import codec, keys
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidAction
 from zenostat.topics.messages import Command, CommandOp, Manifest, Sample
 from zenostat.topics.points import actuator_index, check_command
@@ -34,7 +34,7 @@ class CommandArrays:
         self._shape = (manifest.slots, count) if manifest.slots > 1 else (count,)
 
     def of(
-        self, values: Mapping[str, float | None] | NDArray[np.float64] | None, operations: bytes | None
+        self, values: Mapping[str, float | None] | Floats | None, operations: bytes | None
     ) -> tuple[bytes, bytes | None]:
         """Return raw values and operations; arguments and errors as of `ControllerLink.send`."""
         if isinstance(values, np.ndarray):
@@ -79,7 +79,7 @@ class CommandPublisher:
     def encode(
         self,
         sample: Sample,
-        values: Mapping[str, float | None] | NDArray[np.float64] | None,
+        values: Mapping[str, float | None] | Floats | None,
         operations: bytes | None,
         still: Collection[int],
     ) -> bytes:

@@ -9,9 +9,7 @@ from contextlib import ExitStack, suppress
 from types import TracebackType
 from typing import Any
 
-import numpy as np
 import zenoh
-from numpy.typing import NDArray
 from zenoh.handlers import RingChannel
 
 from zenostat.bridge.client.command_publisher import CommandPublisher
@@ -26,6 +24,7 @@ from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.runtime.polling import Polling
 from zenostat.bridge.transport.wakeup import Wake, stream_wake
 from zenostat.topics import codec, keys
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import (
     EpisodeChanged,
     InvalidConfig,
@@ -362,7 +361,7 @@ class ControllerLink:
 
     def send(
         self,
-        values: Mapping[str, float | None] | NDArray[np.float64] | None = None,
+        values: Mapping[str, float | None] | Floats | None = None,
         operations: bytes | None = None,
         *,
         still: Collection[int] = (),

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.topics import codec
+from zenostat.topics.arrays import Floats
 from zenostat.topics.calendar import parse_moment_within
 from zenostat.topics.errors import BadMessage, EpisodeChanged, InvalidConfig, RequestRejected, UnknownName, did_you_mean
 from zenostat.topics.messages import MAX_HISTORY_POINTS, HistorySeries, Manifest
@@ -48,15 +49,15 @@ class History:
     stride: int
     oldest_step: int
     step: NDArray[np.int64] = field(repr=False)
-    values: NDArray[np.float64] = field(repr=False)
-    lows: NDArray[np.float64] | None = field(default=None, repr=False)
-    highs: NDArray[np.float64] | None = field(default=None, repr=False)
+    values: Floats = field(repr=False)
+    lows: Floats | None = field(default=None, repr=False)
+    highs: Floats | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         """Return the number of samples."""
         return len(self.step)
 
-    def __getitem__(self, name: str) -> NDArray[np.float64]:
+    def __getitem__(self, name: str) -> Floats:
         """Return the values of a point, shape (samples,); `UnknownName` lists similar names."""
         if name not in self.points:
             raise UnknownName(f"no point {name!r} in this history; {did_you_mean(name, self.points)}")
@@ -135,7 +136,7 @@ def join_points(parts: Sequence[History]) -> History:
             f"node {node!r} replaced samples while they were read; request at most {MAX_HISTORY_POINTS} points at once"
         )
 
-    def table(name: str) -> NDArray[np.float64]:
+    def table(name: str) -> Floats:
         return np.concatenate([getattr(part, name) for part in parts], axis=1)
 
     return replace(
@@ -152,7 +153,7 @@ def join_replies(manifest: Manifest, slot: int, replies: Sequence[HistorySeries]
     """Return the content of consecutive replies."""
     first = replies[0]
 
-    def table(name: str) -> NDArray[np.float64]:
+    def table(name: str) -> Floats:
         rows = [codec.floats(getattr(r, name), (row_count(r), len(first.points)), name) for r in replies]
         return rows[0] if len(rows) == 1 else np.concatenate(rows)
 

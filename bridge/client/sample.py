@@ -6,10 +6,8 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from zenostat.topics import codec
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import UsageError
 from zenostat.topics.messages import Flag, Manifest, Sample, WeatherSeries
 from zenostat.topics.points import PointIndex
@@ -20,7 +18,7 @@ _TRUNCATED, _FALLBACK = int(Flag.TRUNCATED), int(Flag.FALLBACK)
 class Replier(Protocol):
     """Sends the answer to a sample, and knows the weather of its episode."""
 
-    def send(self, values: Mapping[str, float | None] | NDArray[np.float64] | None = None) -> None:
+    def send(self, values: Mapping[str, float | None] | Floats | None = None) -> None:
         """Answer the current sample."""
 
     def weather(self, columns: Sequence[str], slot: int = 0) -> WeatherSeries:
@@ -73,43 +71,43 @@ class SampleView:
         return bool(self.message.flags[self.slot] & _FALLBACK)
 
     @property
-    def values(self) -> NDArray[np.float64]:
+    def values(self) -> Floats:
         """Values of sensors, then meters, shape (points,), in manifest order and units."""
         return self._points(self.message.values, "values")
 
     @property
-    def fault_free_values(self) -> NDArray[np.float64]:
+    def fault_free_values(self) -> Floats:
         """Values as the plant computed them: `values` without the faults that the node injects; same shape."""
         raw = self.message.fault_free_values
         return self._points(raw, "fault_free_values") if raw else self.values
 
     @property
-    def effective(self) -> NDArray[np.float64]:
+    def effective(self) -> Floats:
         """Effective value of each actuator, shape (actuators,); NaN where the plant does not report it."""
         return self._actuators(self.message.effective, "effective")
 
     @property
-    def baseline(self) -> NDArray[np.float64] | None:
+    def baseline(self) -> Floats | None:
         """`values` of the same building under baseline control; None unless the node runs a baseline."""
         return self._points(self.message.baseline, "baseline") if self.manifest.baseline else None
 
     @property
-    def baseline_effective(self) -> NDArray[np.float64] | None:
+    def baseline_effective(self) -> Floats | None:
         """Effective values that the baseline control sets in `baseline`; None unless the node runs a baseline."""
         return (
             self._actuators(self.message.baseline_effective, "baseline_effective") if self.manifest.baseline else None
         )
 
     @property
-    def commanded(self) -> NDArray[np.float64]:
+    def commanded(self) -> Floats:
         """The command in effect for each actuator, in manifest order; NaN: relinquished."""
         raw = self.message.commanded or codec.RELINQUISHED * (self.manifest.slots * len(self.manifest.actuators))
         return self._actuators(raw, "commanded")
 
-    def _points(self, raw: bytes, field: str) -> NDArray[np.float64]:
+    def _points(self, raw: bytes, field: str) -> Floats:
         return codec.row(raw, self.slot, self.manifest.slots, len(self._index), field)
 
-    def _actuators(self, raw: bytes, field: str) -> NDArray[np.float64]:
+    def _actuators(self, raw: bytes, field: str) -> Floats:
         return codec.row(raw, self.slot, self.manifest.slots, len(self.manifest.actuators), field)
 
     @property
@@ -127,7 +125,7 @@ class SampleView:
         """Return the values of all sensors and meters by name."""
         return dict(zip(self._index, self.values.tolist(), strict=True))
 
-    def send(self, values: Mapping[str, float | None] | NDArray[np.float64] | None = None) -> None:
+    def send(self, values: Mapping[str, float | None] | Floats | None = None) -> None:
         """Answer this sample; see `ControllerLink.send`."""
         if self._link is None:
             raise UsageError("this sample was received by a listener; only a controller can answer")

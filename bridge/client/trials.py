@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.bridge.client.command_publisher import CommandArrays
 from zenostat.bridge.client.connection import build
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.transport.request import PendingReply
 from zenostat.topics import codec
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidAction, InvalidConfig
 from zenostat.topics.messages import CommandOp, Manifest, Sample, StepsTried, TrySteps
 from zenostat.topics.points import value_index
@@ -26,7 +26,7 @@ class PendingTrial:
     alternatives: int
 
 
-CommandValues = Mapping[str, float | None] | NDArray[np.float64] | None
+CommandValues = Mapping[str, float | None] | Floats | None
 """The values of one command; see `ControllerLink.send`."""
 
 _ALL = bytes([CommandOp.SET])

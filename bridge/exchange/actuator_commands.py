@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from zenostat.bridge.exchange.claims import ClaimHolder
 from zenostat.bridge.exchange.priority_array import PRIORITIES, PriorityArray
 from zenostat.topics import codec
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import BadMessage
 from zenostat.topics.messages import ANONYMOUS, Actuator, Command, CommandOp, Write
 from zenostat.topics.points import LARGEST, PointIndex, bound_arrays, contains, describe_violation
@@ -148,7 +149,7 @@ class ActuatorCommands:
 
     def _checked(
         self, claimant: ClaimHolder, command: Command, answered: Sequence[int]
-    ) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
+    ) -> tuple[Floats, NDArray[np.uint8] | None]:
         """Return values and operations of a valid command; no operations if it sets all actuators of all slots."""
         values = codec.floats(command.values, self._shape, "values")
         all_slots = len(answered) == self._shape[0]
@@ -175,7 +176,7 @@ class ActuatorCommands:
             raise BadMessage(f"{self._actuators[index].name!r} is not among the actuators that it claimed")
         return operations
 
-    def _check(self, values: NDArray[np.float64]) -> None:
+    def _check(self, values: Floats) -> None:
         low, high = self._bounds.reshape(2, *self._shape)
         invalid = ~((values >= low) & (values <= high))  # true for NaN
         if invalid.any():

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zenostat.topics.arrays import Floats
 from zenostat.topics.codec import INDEX
 
 PRIORITIES = 16
@@ -150,7 +151,7 @@ class PriorityArray:
         else:
             self._rows[priority] = _Row(values, source.to_bytes(2, "little") * self._size, source)
 
-    def put(self, priority: int, source: int, values: NDArray[np.float64], where: NDArray[np.bool_]) -> None:
+    def put(self, priority: int, source: int, values: Floats, where: NDArray[np.bool_]) -> None:
         """Set the actuators selected by `where` at a priority; NaN relinquishes."""
         row = self._rows.get(priority)
         old, sources = (row.values, row.sources) if row else self._relinquished
@@ -173,7 +174,7 @@ class PriorityArray:
         where[:, actuator] = True
         self.put(priority, source, np.full(self.shape, value), where)
 
-    def table(self) -> tuple[NDArray[np.float64], NDArray[np.uint16]]:
+    def table(self) -> tuple[Floats, NDArray[np.uint16]]:
         """Return all values, NaN where relinquished, and their sources, each of shape (slots, actuators, 16)."""
         values, sources = np.full((*self.shape, PRIORITIES), np.nan), np.zeros((*self.shape, PRIORITIES), np.uint16)
         for priority, row in self._rows.items():

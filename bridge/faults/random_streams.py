@@ -14,6 +14,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from zenostat.topics.arrays import Floats
+
 BLOCK = 64
 """Number of steps that are drawn at once: creating a generator takes as long as drawing some hundred numbers."""
 
@@ -80,7 +82,7 @@ class RandomStream:
         self._rows = np.arange(slots)
         self._version = episodes.version
 
-    def at(self, steps: NDArray[np.int64]) -> NDArray[np.float64]:
+    def at(self, steps: NDArray[np.int64]) -> Floats:
         """Return the numbers of each slot at its step, of shape (slots, width); `steps` has the shape (slots,)."""
         if self._version != self._episodes.version:
             self._block[:] = -1
@@ -90,10 +92,10 @@ class RandomStream:
             for slot in np.flatnonzero(blocks != self._block).tolist():
                 self._numbers[slot] = self._draw(self._episodes.keys[slot], int(blocks[slot]))
             self._block = blocks
-        numbers: NDArray[np.float64] = self._numbers[self._rows, within]
+        numbers: Floats = self._numbers[self._rows, within]
         return numbers
 
-    def _draw(self, episode: Key, block: int) -> NDArray[np.float64]:
+    def _draw(self, episode: Key, block: int) -> Floats:
         source = np.random.SeedSequence(self._seed, spawn_key=(*self._key, *episode, block))
         generator = np.random.Generator(np.random.PCG64(source))
         shape = self._numbers.shape[1:]

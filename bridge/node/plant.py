@@ -33,10 +33,8 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
-import numpy as np
-from numpy.typing import NDArray
-
 from zenostat.bridge.engine.registry import EngineRegistry
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import ForkFailed, RequestRejected
 from zenostat.topics.messages import Actuator, EpisodeStart, Geometry, Meter, Sensor, Systems, Task, Versions
 
@@ -136,7 +134,7 @@ class WeatherTable(NamedTuple):
     columns: list[str]
     units: list[str]
     step_s: float
-    values: NDArray[np.float64]
+    values: Floats
 
 
 @dataclass(frozen=True, slots=True)

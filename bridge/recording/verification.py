@@ -21,6 +21,7 @@ from zenostat.bridge.recording.audit_chain import AuditResult, check_audit
 from zenostat.bridge.recording.checked_messages import decode
 from zenostat.bridge.recording.reader import RecordedItem, RecordingReader
 from zenostat.topics import VERSION
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidRecording
 from zenostat.topics.messages import Flag, Sample
 from zenostat.topics.plurals import counted
@@ -194,7 +195,7 @@ class Verifier:
         self._folders = itertools.count(1)
         self._uses: dict[str, int] = {}
         self._total = 0
-        self._greatest: dict[str, NDArray[np.float64]] = {}
+        self._greatest: dict[str, Floats] = {}
 
     def _check_points(self, tolerance: float | None) -> None:
         missing = self._values.missing + self._effective.missing
@@ -400,7 +401,7 @@ class Verifier:
             self.result.difference = Difference(episode, slot, step, time, name, recorded, present)
 
 
-def equal_bits(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.bool_]:
+def equal_bits(left: Floats, right: Floats) -> NDArray[np.bool_]:
     """Return which values of two arrays of one shape are equal to the bit; any NaN is equal to any other."""
     is_equal: NDArray[np.bool_] = (left.view(np.uint64) == right.view(np.uint64)) | (np.isnan(left) & np.isnan(right))
     return is_equal

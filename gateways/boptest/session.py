@@ -21,6 +21,7 @@ from zenostat.gateways.boptest.prices import ELECTRICITY_PRICES, Rates
 from zenostat.gateways.boptest.simulation import DAY_S, YEAR_S, Interruption, Simulation, row_range
 from zenostat.gateways.boptest.test_periods import PERIOD_S, TIME_PERIODS, WARMUP_S
 from zenostat.metrics.trajectory import Trajectory
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import CommandOp
 
 Payload = Any
@@ -225,7 +226,7 @@ class BuildingTest:
             )
         return round(duration_s / timestep_s)
 
-    def _read_inputs(self, fields: Mapping[str, Any]) -> tuple[NDArray[np.float64], bytes, NDArray[np.bool_], str]:
+    def _read_inputs(self, fields: Mapping[str, Any]) -> tuple[Floats, bytes, NDArray[np.bool_], str]:
         """Return values, operations, switches, and warnings of values not used as sent, the newest first."""
         table, count = self.table, len(self.table.inputs)
         values, is_sent, switched = np.zeros(count), np.zeros(count, np.bool_), np.zeros(count, np.bool_)
@@ -318,7 +319,7 @@ class BuildingTest:
                 result[name] = self._column(name, first, after, times.astype(np.float64)).tolist()
         return "Queried results data successfully.", result
 
-    def _column(self, name: str, first: int, after: int, times_s: NDArray[np.float64]) -> NDArray[Any]:
+    def _column(self, name: str, first: int, after: int, times_s: Floats) -> NDArray[Any]:
         table, rows = self.table, slice(first, after)
         if (index := table.measured.get(name)) is not None:
             return table.si_values(self.trajectory.fault_free_values[rows])[:, index]

@@ -13,7 +13,6 @@ from socketserver import BaseRequestHandler, ThreadingTCPServer
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from typing_extensions import override
 
 from zenostat.bridge.client.bus import Bus
@@ -32,6 +31,7 @@ from zenostat.gateways.fmi.messages import (
 )
 from zenostat.gateways.notices import Notices
 from zenostat.topics.addresses import join_address
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import AddressInUse, RequestRejected, ZenostatError
 
 MAX_CONNECTIONS = 32
@@ -288,11 +288,11 @@ class _Connection(BaseRequestHandler):
         assert self._link is not None
         return self._link
 
-    def _outputs(self, sample: SampleView) -> NDArray[np.float64]:
-        outputs: NDArray[np.float64] = sample.values / self._divisors
+    def _outputs(self, sample: SampleView) -> Floats:
+        outputs: Floats = sample.values / self._divisors
         return outputs
 
-    def _sample(self, sample: SampleView, outputs: NDArray[np.float64]) -> bytes:
+    def _sample(self, sample: SampleView, outputs: Floats) -> bytes:
         flags = Flags.TRUNCATED if sample.truncated else 0
         return encode(Kind.SAMPLE, struct.pack("<II", flags, sample.step) + outputs.astype("<f8").tobytes())
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from zenostat.agent_sdk.controllers import Agent, load_controller
 from zenostat.agent_sdk.controllers.action_roles import setpoint_pairs
@@ -211,7 +211,7 @@ class _CountedPlanner:
     def __init__(self, env: BuildingEnv) -> None:
         self._env, self.action_space, self.timesteps = env, env.action_space, 0
 
-    def plan(self, actions: ArrayLike, *, forecast_error: Sequence[float] = ()) -> NDArray[np.float64]:
+    def plan(self, actions: ArrayLike, *, forecast_error: Sequence[float] = ()) -> Floats:
         """Return the reward of each timestep of several action sequences."""
         rewards = self._env.plan(actions, forecast_error=forecast_error)
         self.timesteps += rewards.size

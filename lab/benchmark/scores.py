@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from zenostat.lab.benchmark.definition import BASELINE, Episode, Task
 from zenostat.lab.benchmark.results_file import Row
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
 
@@ -67,7 +68,7 @@ class Scores:
     buildings: dict[str, Interval]
     strata: dict[Stratum, Matrix]
 
-    def episodes(self, building: str) -> NDArray[np.float64]:
+    def episodes(self, building: str) -> Floats:
         """Return the score of each episode in a building, the mean over trainings."""
         of_building = [matrix.mean(axis=0) for stratum, matrix in self.strata.items() if stratum[0] == building]
         return _known(of_building)
@@ -82,7 +83,7 @@ def relative_score(reward: float, baseline: float) -> float | None:
     return None if baseline == 0.0 else (reward - baseline) / abs(baseline)
 
 
-def interquartile_mean(scores: Sequence[float] | NDArray[np.float64], axis: int = -1) -> Any:
+def interquartile_mean(scores: Sequence[float] | Floats, axis: int = -1) -> Any:
     """Return the mean of the middle half: a quarter of the scores, rounded down, is cut off at each end."""
     with _requires_scipy():
         from scipy.stats import trim_mean
@@ -125,13 +126,13 @@ def bootstrap_interval(strata: Sequence[Matrix]) -> Interval:
     return Interval(value, value - half, value + half, len(values))
 
 
-def _known(strata: Iterable[Matrix]) -> NDArray[np.float64]:
+def _known(strata: Iterable[Matrix]) -> Floats:
     values = np.concatenate([matrix.ravel() for matrix in strata])
-    known: NDArray[np.float64] = values[~np.isnan(values)]
+    known: Floats = values[~np.isnan(values)]
     return known
 
 
-def _resample(strata: Sequence[Matrix], count: int, random: np.random.Generator) -> NDArray[np.float64]:
+def _resample(strata: Sequence[Matrix], count: int, random: np.random.Generator) -> Floats:
     """Return resamples of all strata, shape (count, values)."""
     _, weathers, seeds = strata[0].shape
     weather = random.integers(weathers, size=(count, 1, weathers, 1))

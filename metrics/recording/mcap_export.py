@@ -24,6 +24,7 @@ from zenostat.metrics.labels import unused_name
 from zenostat.metrics.recording.data import Recording
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.topics import VERSION
+from zenostat.topics.arrays import Floats
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidRecording
 from zenostat.topics.extras import import_extra
@@ -126,7 +127,7 @@ def _topics(recording: Recording, writer: Any, messages: _Messages) -> Iterator[
                 yield _Topic(log.channel(f"{root}/events"), at_ns, _log_rows(log.message, at_ns, events))
 
 
-def _point_tables(episode: Trajectory) -> Iterator[tuple[str, NDArray[np.float64]]]:
+def _point_tables(episode: Trajectory) -> Iterator[tuple[str, Floats]]:
     yield "points", episode.values
     if episode.fault_free_values is not episode.values:
         yield "fault_free", episode.fault_free_values
@@ -134,7 +135,7 @@ def _point_tables(episode: Trajectory) -> Iterator[tuple[str, NDArray[np.float64
         yield "baseline", episode.baseline
 
 
-def _actuator_tables(episode: Trajectory) -> Iterator[tuple[str, NDArray[np.float64]]]:
+def _actuator_tables(episode: Trajectory) -> Iterator[tuple[str, Floats]]:
     yield "effective", episode.effective
     if episode.orders is not None:
         yield "orders", episode.orders

@@ -14,6 +14,7 @@ from zenostat.models.building.polygons import Polygon, PolygonReader
 from zenostat.models.building.summary import conditioned_zones, used_zones, zone_areas, zone_multipliers
 from zenostat.models.input_format.source_model import ModelObjects
 from zenostat.models.weather.header import Header
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Geometry, SurfaceKind, ZoneGeometry
 
 STOREY_M = 1.0
@@ -38,7 +39,7 @@ class BuildingGeometry(NamedTuple):
 class _Corners(NamedTuple):
     """Corners of all polygons in turn, in m, shape (corners, 3), and the index of each polygon's first one."""
 
-    corners: NDArray[np.float64]
+    corners: Floats
     counts: NDArray[np.intp]
     first: NDArray[np.intp]
 
@@ -98,7 +99,7 @@ def _placed(polygons: Sequence[Polygon], frames: Mapping[str | None, Frame]) -> 
     return _Corners(placed, counts, np.cumsum(counts) - counts)
 
 
-def _areas(placed: _Corners) -> NDArray[np.float64]:
+def _areas(placed: _Corners) -> Floats:
     """Return the area of each polygon in m2 (Newell's method)."""
     corners, counts, first = placed
     if not len(counts):
@@ -106,7 +107,7 @@ def _areas(placed: _Corners) -> NDArray[np.float64]:
     relative = corners - np.repeat(corners[first], counts, axis=0)
     following = np.roll(relative, -1, axis=0)
     following[first + counts - 1] = 0.0  # the first corner
-    areas: NDArray[np.float64] = np.linalg.norm(np.add.reduceat(np.cross(relative, following), first), axis=1) / 2
+    areas: Floats = np.linalg.norm(np.add.reduceat(np.cross(relative, following), first), axis=1) / 2
     return areas
 
 

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.models import energyplus
 from zenostat.models.building.edits import apply_edits
@@ -28,6 +27,7 @@ from zenostat.models.run_period import Period
 from zenostat.models.weather import design_days
 from zenostat.models.weather.header import check_complete, check_covers, read_header
 from zenostat.models.weather.records import check_records
+from zenostat.topics.arrays import Floats
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.cache import digest
 from zenostat.topics.errors import InvalidConfig, ModelError
@@ -106,7 +106,7 @@ class ModelRuns:
                     raise InvalidConfig(f"{prefix}{text}") from None
         self._designed(self.building.objects)
 
-    def simulate(self, values: Mapping[str, float], days: Days) -> NDArray[np.float64]:
+    def simulate(self, values: Mapping[str, float], days: Days) -> Floats:
         """Return the hourly values of the targets, shape (hours, targets), from midnight of the first day on.
 
         Each is EnergyPlus's own hourly report: the sum of a meter, or the mean of a variable (the sum, if EnergyPlus
@@ -184,7 +184,7 @@ def _reports(targets: Sequence[Target]) -> dict[str, Any]:
     return objects
 
 
-def _read_hours(path: Path, targets: Sequence[Target], hours: int) -> NDArray[np.float64]:
+def _read_hours(path: Path, targets: Sequence[Target], hours: int) -> Floats:
     """Read the hourly reports of an ESO file: a dictionary of series, then blocks of a clock and `id,value` lines."""
     with path.open(encoding="utf-8", errors="replace") as file:
         ids = _series(file)

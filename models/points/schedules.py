@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.models import energyplus
 from zenostat.models.building.conflicts import ProgramOverrides, thermostat_setpoints, thermostats
@@ -20,6 +19,7 @@ from zenostat.models.building.source_lines import locator
 from zenostat.models.input_format.source_model import ObjectsOfType
 from zenostat.models.points.selection import Points
 from zenostat.models.run_period import Period
+from zenostat.topics.arrays import Floats
 from zenostat.topics.cache import cached_bytes, digest
 from zenostat.topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT, SCHEDULE_VALUE, THERMOSTAT
 from zenostat.topics.errors import ErrorCollector, InvalidConfig
@@ -61,7 +61,7 @@ _RECENT: dict[tuple[object, ...], dict[int, list[float]]] = {}
 """Values of the episodes that started last: resets by a fork take milliseconds."""
 
 
-def schedule_values(building: Building, period: Period, weather: Path, names: list[str]) -> NDArray[np.float64]:
+def schedule_values(building: Building, period: Period, weather: Path, names: list[str]) -> Floats:
     """Return the values of schedules in each timestep of a run period, as EnergyPlus computes them; cached.
 
     Args:
@@ -240,7 +240,7 @@ def _next_value(sensors: list[Sensor], schedule: str, unit: str, period: Period)
     return sensors[-1]
 
 
-def _widened(actuator: Actuator, values: NDArray[np.float64]) -> dict[str, float]:
+def _widened(actuator: Actuator, values: Floats) -> dict[str, float]:
     widened = {}
     if actuator.low is not None and actuator.control_type != COOLING_SETPOINT:
         widened["low"] = min(actuator.low, float(values.min()))

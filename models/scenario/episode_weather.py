@@ -9,7 +9,6 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.models.building.model import Building, for_episode, write
 from zenostat.models.run_period import Period
@@ -20,6 +19,7 @@ from zenostat.models.weather.fixed_width import FixedWidthWeather
 from zenostat.models.weather.header import Header
 from zenostat.models.weather.noise import Variability, with_noise
 from zenostat.models.weather.records import simulated_values
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig
 
 _UNPREDICTABLE = 2
@@ -264,7 +264,7 @@ def _late_noise(path: Path, mtime_ns: int, period: Period) -> _LateNoise:  # noq
     return _LateNoise(epw.read(path), period)
 
 
-def series(path: Path, period: Period, columns: Sequence[str]) -> tuple[NDArray[np.float64], float]:
+def series(path: Path, period: Period, columns: Sequence[str]) -> tuple[Floats, float]:
     """Return weather columns from the first day of a run period to a week after its last, in EnergyPlus's order.
 
     Returns:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.plants.grid.schema import Grid
+from zenostat.topics.arrays import Floats
 from zenostat.topics.extras import requires_extra
 
 _TOLERANCE = 1e-10
@@ -43,9 +44,9 @@ class PowerFlow:
         losses_w: of all lines and transformers, W.
     """
 
-    voltages_pu: NDArray[np.float64]
-    line_loadings: NDArray[np.float64]
-    transformer_loadings: NDArray[np.float64]
+    voltages_pu: Floats
+    line_loadings: Floats
+    transformer_loadings: Floats
     source_w: float
     losses_w: float
 
@@ -147,7 +148,7 @@ class Network:
         source["u_ref"], source["sk"] = part.voltage_pu, part.short_circuit_mva * 1e6
         return source
 
-    def solve(self, active_w: NDArray[np.float64], reactive_var: NDArray[np.float64]) -> PowerFlow:
+    def solve(self, active_w: Floats, reactive_var: Floats) -> PowerFlow:
         """Calculate the power flow by Newton and Raphson's method.
 
         Args:
@@ -189,16 +190,16 @@ class Network:
         lowest = int(np.argmin(np.nan_to_num(voltages, nan=-np.inf)))
         return DivergedPowerFlow([*self._buses][lowest], float(voltages[lowest]))
 
-    def _line_loadings(self, output: Any) -> NDArray[np.float64]:
-        loadings: NDArray[np.float64] = output["line"]["loading"] * 100.0 if "line" in self._kinds else np.zeros(0)
+    def _line_loadings(self, output: Any) -> Floats:
+        loadings: Floats = output["line"]["loading"] * 100.0 if "line" in self._kinds else np.zeros(0)
         return loadings
 
-    def _transformer_loadings(self, output: Any) -> NDArray[np.float64]:
+    def _transformer_loadings(self, output: Any) -> Floats:
         if "transformer" not in self._kinds:
             return np.zeros(0)
         currents = [output["transformer"][f"i_{side}"] for side in ("from", "to")]
         ratios = [current / rated for current, rated in zip(currents, self._rated, strict=True)]
-        loadings: NDArray[np.float64] = np.maximum(*ratios) * 100.0
+        loadings: Floats = np.maximum(*ratios) * 100.0
         return loadings
 
 

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.plants.grid.devices import BatteryState, ChargerState
 from zenostat.plants.grid.file import read_grid
 from zenostat.plants.grid.network import DivergedPowerFlow, Network, PowerFlow, reactive_ratio
 from zenostat.plants.grid.profiles import Means
 from zenostat.plants.grid.schema import Load, OnDivergence, Price, bounds_of
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import PlantFailed
 
 _METERS = {"electricity": ("J", 0.0, None), "electricity_exported": ("J", 0.0, None), "losses_energy": ("J", 0.0, None)}
@@ -182,7 +182,7 @@ class GridPlant:
             powers[name] = battery.power(commands.get(f"{name}_setpoint", 0.0), end_s - begin_s)
         return powers
 
-    def _injections(self, powers: Mapping[str, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _injections(self, powers: Mapping[str, float]) -> tuple[Floats, Floats]:
         """Return active and reactive power, in the order of the network."""
         grid = self.grid
         names = (*grid.loads, *grid.pv, *grid.batteries, *grid.chargers)

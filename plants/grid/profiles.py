@@ -8,9 +8,9 @@ from math import floor, inf, isfinite
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.plants.grid.schema import Profile
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.user_file import user_file
 
@@ -44,7 +44,7 @@ class Table:
                 raise InvalidConfig(f"{self.path}:{number}: no value of {column!r}")
         return [row[place].strip() for _, row in self._numbered()]
 
-    def numbers(self, column: str, factor: float = 1.0, low: float = -inf) -> NDArray[np.float64]:
+    def numbers(self, column: str, factor: float = 1.0, low: float = -inf) -> Floats:
         """Return the numbers of a column, times a factor.
 
         Raises:
@@ -75,7 +75,7 @@ class Means:
         step_s: length of an interval, s.
     """
 
-    def __init__(self, values: NDArray[np.float64], step_s: float) -> None:
+    def __init__(self, values: Floats, step_s: float) -> None:
         self._values, self._step_s = values, step_s
         self._sums = np.concatenate(([0.0], np.cumsum(values)))
 

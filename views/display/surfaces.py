@@ -16,6 +16,7 @@ from math import acos, asin, atan2, cos, degrees, pi, radians, sin
 import numpy as np
 from numpy.typing import NDArray
 
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import BadMessage
 from zenostat.topics.messages import Geometry, SurfaceKind
 
@@ -44,7 +45,7 @@ class Surface:
     corners: Corners
 
     @cached_property
-    def normal(self) -> NDArray[np.float64]:
+    def normal(self) -> Floats:
         """Unit vector that points outwards."""
         return unit_normal(self.corners)
 
@@ -104,10 +105,10 @@ def _check(is_valid: bool, text: str) -> None:  # noqa: FBT001
         raise BadMessage(f"Geometry: {text}")
 
 
-def area_vector(corners: Corners) -> NDArray[np.float64]:
+def area_vector(corners: Corners) -> Floats:
     """Return the polygon's normal with its area in m2 as length (Newell's method: half the sum of cross products)."""
     relative = corners - corners[0]  # far from the origin the products would cancel
-    vector: NDArray[np.float64] = np.cross(relative, np.roll(relative, -1, axis=0)).sum(axis=0) / 2
+    vector: Floats = np.cross(relative, np.roll(relative, -1, axis=0)).sum(axis=0) / 2
     return vector
 
 
@@ -116,7 +117,7 @@ def area(corners: Corners) -> float:
     return float(np.linalg.norm(area_vector(corners)))
 
 
-def unit_normal(corners: Corners) -> NDArray[np.float64]:
+def unit_normal(corners: Corners) -> Floats:
     """Return the polygon's unit normal; zeros if its area is 0."""
     vector = area_vector(corners)
     length = np.linalg.norm(vector)

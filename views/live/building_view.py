@@ -199,7 +199,7 @@ class BuildingView:
             rows,
         )
 
-    def _sun(self, time: np.datetime64) -> NDArray[np.float64] | None:
+    def _sun(self, time: np.datetime64) -> Floats | None:
         """Return where the sun is drawn, around the building; None below the horizon."""
         place = self._geometry
         azimuth, elevation = np.radians(
@@ -210,7 +210,7 @@ class BuildingView:
         direction = np.array(
             [np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.sin(elevation)]
         )
-        position: NDArray[np.float64] = self._model.center + 1.15 * self._model.radius_m * direction
+        position: Floats = self._model.center + 1.15 * self._model.radius_m * direction
         return position
 
 

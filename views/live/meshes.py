@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zenostat.topics.arrays import Floats
 from zenostat.topics.messages import Geometry, SurfaceKind
 from zenostat.views.display.surfaces import Surface, surfaces, triangulate
 
@@ -45,7 +46,7 @@ class Mesh:
 
     positions: Points
     normals: Points
-    brightness: NDArray[np.float64]
+    brightness: Floats
     triangles: NDArray[np.intp]
 
 

@@ -108,7 +108,7 @@ def corners(hours: Floats, values: Floats, *, held: bool) -> tuple[Floats, Float
     return (np.repeat(hours, 2)[1:-1], np.repeat(values[1:], 2)) if held else (hours, values)
 
 
-def outline(hours: Floats, low: Floats, high: Floats, *, held: bool) -> NDArray[np.float64]:
+def outline(hours: Floats, low: Floats, high: Floats, *, held: bool) -> Floats:
     """Return the corners of the area between two curves, shape (corners, 2), without samples that have no values."""
     (x, low), (_, high) = corners(hours, low, held=held), corners(hours, high, held=held)
     known = ~(np.isnan(low) | np.isnan(high))

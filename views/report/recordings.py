@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zenostat.agent_sdk.envs.arguments import FROM_SCENARIO
 from zenostat.agent_sdk.envs.termination import TerminationLimits
@@ -22,6 +21,7 @@ from zenostat.metrics.episode_weather import EpisodeWeather
 from zenostat.metrics.fuel_rates import Rate, read_emissions, read_prices
 from zenostat.metrics.recording.load import read_trajectories
 from zenostat.metrics.trajectory import Trajectory
+from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig, InvalidRecording
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.messages import Flag, Manifest
@@ -220,7 +220,7 @@ def _rewarded(trajectory: Trajectory, bound: BoundReward | None) -> tuple[Trajec
     """Return an episode with the terms of a reward, and whether a limit terminated it, which is where it then ends."""
     manifest, values = trajectory.manifest, trajectory.fault_free_values
     limits = TerminationLimits(manifest) if manifest.task.terminate else None
-    terms: dict[str, NDArray[np.float64]] = {}
+    terms: dict[str, Floats] = {}
     row, terminated = 0, False
     for row, begin in enumerate(trajectory.begins(), 1):
         for name, term in ({} if bound is None else bound(values[row], begin).terms).items():

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zenostat.topics.arrays import Floats
 from zenostat.views.display.colors import end_use_color, hex_color
 from zenostat.views.report.figures.base import ENERGY_TICKS, Curve, Figure, draw, period_label
 from zenostat.views.report.quantities import EndUseEnergy, Times, by_period
@@ -66,9 +66,7 @@ def end_uses_by_period(curves: Sequence[Curve]) -> Figure | None:
     )  # fmt: skip
 
 
-def _sums(
-    curve: Curve, uses: Sequence[EndUseEnergy], keys: Sequence[tuple[str, str]]
-) -> tuple[Times, NDArray[np.float64]]:
+def _sums(curve: Curve, uses: Sequence[EndUseEnergy], keys: Sequence[tuple[str, str]]) -> tuple[Times, Floats]:
     """Return the periods and the energy of each end use in them, kWh, shape (periods, uses)."""
     begins = curve.quantities.begins
     starts, _ = by_period(np.zeros(len(begins)), begins)
