@@ -9,8 +9,8 @@ import typer
 
 from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
 from zenostat.cli.console import out
-from zenostat.cli.gateway_clients import Allow, ClientsFile, Expose, clients_of, notify
-from zenostat.cli.options import Emissions, Price
+from zenostat.cli.gateway_clients import Allow, ClientsFile, clients_of, notify
+from zenostat.cli.options import Emissions, Expose, Price
 from zenostat.cli.pairs import read_rates
 from zenostat.topics.addresses import is_loopback
 from zenostat.topics.extras import requires_extra

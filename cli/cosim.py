@@ -12,7 +12,7 @@ import typer
 from zenostat.bridge.transport.session import default_endpoint
 from zenostat.cli import node_options as options
 from zenostat.cli.console import err, out, progress
-from zenostat.cli.options import CertificateName, Keys, Loops
+from zenostat.cli.options import CertificateName, Expose, Keys, Loops
 from zenostat.cli.tables import show, show_json
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Mode, OnFull, Policy, State
@@ -61,7 +61,7 @@ def cosim(
     deadline_s: options.Deadline = None,
     listen: options.Listen = None,
     connect: options.Connect = None,
-    expose: options.Expose = False,
+    expose: Expose = False,
     keys: Keys = None,
     certificate: CertificateName = None,
     record: options.Record = None,

@@ -16,8 +16,8 @@ from zenostat.bridge.runtime.service_manager import reported
 from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
 from zenostat.cli.boptest import boptest
 from zenostat.cli.console import err, out
-from zenostat.cli.gateway_clients import Allow, Expose, clients_of, notify
-from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus, only_node
+from zenostat.cli.gateway_clients import Allow, clients_of, notify
+from zenostat.cli.options import DEFAULTS, BusOptions, Expose, Wait, on_bus, only_node
 from zenostat.topics.errors import InvalidConfig, NodeNotFound, RequestRejected, ZenostatError
 from zenostat.topics.extras import install_command
 from zenostat.topics.keys import Role, check_name

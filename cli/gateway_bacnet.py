@@ -10,8 +10,8 @@ import typer
 
 from zenostat.cli.console import err, out
 from zenostat.cli.gateway import manifest_of, serve
-from zenostat.cli.gateway_clients import Allow, ClientsFile, Expose, clients_of, notify
-from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
+from zenostat.cli.gateway_clients import Allow, ClientsFile, clients_of, notify
+from zenostat.cli.options import DEFAULTS, BusOptions, Expose, Wait, on_bus
 from zenostat.gateways.addresses import parse_address
 from zenostat.topics.device_addresses import MAX_INSTANCE
 from zenostat.topics.errors import InvalidConfig

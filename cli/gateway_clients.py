@@ -25,7 +25,6 @@ Allow = Annotated[
     ),
 ]
 
-Expose = Annotated[bool, typer.Option("--expose", help="Allow addresses reachable from other machines.")]
 Priority = Annotated[
     int, typer.Option(min=1, max=16, metavar="1-16", help="Priority of all commands; 1 is the highest.")
 ]

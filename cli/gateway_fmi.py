@@ -9,8 +9,8 @@ import typer
 
 from zenostat.cli.console import out, until_signal
 from zenostat.cli.gateway import manifest_of
-from zenostat.cli.gateway_clients import Allow, ClientsFile, Expose, Priority, clients_of, notify
-from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
+from zenostat.cli.gateway_clients import Allow, ClientsFile, Priority, clients_of, notify
+from zenostat.cli.options import DEFAULTS, BusOptions, Expose, Wait, on_bus
 from zenostat.topics.atomic_file import check_writable
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.keys import Role

@@ -18,7 +18,7 @@ from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.transport.session import default_endpoint, exposure
 from zenostat.cli import node_options as options
 from zenostat.cli.console import out, progress
-from zenostat.cli.options import CertificateName, Keys, is_explicit
+from zenostat.cli.options import CertificateName, Expose, Keys, is_explicit
 from zenostat.cli.pairs import read_pairs
 from zenostat.cli.record import describe_recording
 from zenostat.cli.scenarios import check_scenario
@@ -73,7 +73,7 @@ def node(
     listen: options.Listen = None,
     connect: options.Connect = None,
     no_listen: options.NoListen = False,
-    expose: options.Expose = False,
+    expose: Expose = False,
     keys: Keys = None,
     certificate: CertificateName = None,
     slots: options.Slots = 1,

@@ -55,7 +55,6 @@ Connect = Annotated[
     list[str] | None, typer.Option(help="Endpoint of a router, or of another node to share its bus; repeatable.")
 ]
 NoListen = Annotated[bool, typer.Option("--no-listen", help="Only connect to a router or another node.")]
-Expose = Annotated[bool, typer.Option("--expose", help="Allow connections from other machines.")]
 Slots = Annotated[int, typer.Option(help="Number of engines that step together, each with its own episode.")]
 NoMonitoring = Annotated[bool, argument("monitoring", "--no-monitoring", note=" This option prevents it.")]
 Systems = Annotated[bool, argument("systems", "--systems")]

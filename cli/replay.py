@@ -12,8 +12,8 @@ import typer
 from zenostat.bridge.transport.session import default_endpoint
 from zenostat.cli.console import out, progress, until_signal
 from zenostat.cli.node_options import Connect as Peers
-from zenostat.cli.node_options import Expose, Listen, NoListen
-from zenostat.cli.options import BusOptions, CertificateName, Keys
+from zenostat.cli.node_options import Listen, NoListen
+from zenostat.cli.options import BusOptions, CertificateName, Expose, Keys
 from zenostat.cli.verify import File
 from zenostat.topics.errors import AddressInUse, InvalidConfig
 from zenostat.topics.plurals import counted

@@ -8,8 +8,7 @@ from typing import Annotated
 import typer
 
 from zenostat.cli.console import err, out, until_signal
-from zenostat.cli.node_options import Expose
-from zenostat.cli.options import CertificateName, Keys
+from zenostat.cli.options import CertificateName, Expose, Keys
 
 
 def router(
