@@ -202,9 +202,20 @@ def test_room__override_is_written_with_its_source_and_relinquished(ada: Visitor
     bus.step("office")
     page.get_by_text(f"step {step + 1} of 96").wait_for()
     assert page.locator("#override").input_value() == ""  # the present value is only its first one
-    page.get_by_role("button", name="Relinquish priority 8").click()
-    page.locator(".drawer tr.effective", has_text="baseline control").wait_for()
+    bus.write("office", SETPOINT, 26.0, priority=5)  # of somebody else, while the node is paused
+    page.locator(".drawer tr.effective", has_text="5 · critical equipment").wait_for()
+    bus.write("office", SETPOINT, None, priority=5)
+    page.locator(".drawer tr.effective", has_text="8 · manual operator").wait_for()
+    page.get_by_role("button", name="Relinquish priority 8").focus()
+    bus.write("office", SETPOINT, 29.0, priority=12)
+    page.locator(".drawer tr", has_text="29.0 °C").wait_for()
+    page.keyboard.press("Space")
+    page.locator(".drawer tr.effective", has_text="12").wait_for()
     assert bus.priorities("office")[SETPOINT][7].value is None
+    page.keyboard.press("Space")  # the button is gone; it is no request to go on
+    page.get_by_role("button", name="Relinquish priority 12").click()
+    page.locator(".drawer tr.effective", has_text="baseline control").wait_for()
+    assert bus.status("office").paused
     page.keyboard.press("Escape")
     page.locator(".drawer").wait_for(state="detached")
 
@@ -390,6 +401,16 @@ def test_room__overview_has_contrast_names_and_structure(ada: Visitor, room: Any
     page = ada.open(room.url)
     page.locator(".card").wait_for()
     assert violations(page) == []
+
+
+def test_room__overview_keeps_the_focus_of_a_card_that_changes(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:
+    page = ada.open(room.url)
+    link = page.get_by_role("link", name="office", exact=True)
+    link.focus()
+    bus.pause("office")
+    bus.step("office")
+    page.locator(f"progress[aria-label^='Step {bus.status('office').step[0]} of']").wait_for()
+    assert link.evaluate("link => link === document.activeElement")
 
 
 def test_room__strangers_requests_are_rejected(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:

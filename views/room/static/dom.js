@@ -29,6 +29,18 @@ export function fill(element, ...children) {
   return element;
 }
 
+const labelOf = (control) => control.getAttribute("aria-label") ?? control.textContent;
+
+/** Replace an element's children; the focus stays on the control of the same label, or else on the element. */
+export function refill(element, ...children) {
+  const focused = document.activeElement, hadFocus = element.contains(focused) && element !== focused;
+  fill(element, ...children);
+  if (!hadFocus) return;
+  const control = [...element.querySelectorAll("a, button, input, select, summary")].find((each) => labelOf(each) === labelOf(focused));
+  if (!control) { element.tabIndex = -1; element.dataset.kept = ""; }
+  (control ?? element).focus();
+}
+
 /** Set an element's text, if it has changed. */
 export function setText(element, text) {
   const next = String(text ?? "");

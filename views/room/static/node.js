@@ -49,6 +49,7 @@ export class NodePage {
   onKey(event) {
     if (!mayChange()) return;
     if (event.target.closest("button, a, summary, [role=button]") && (event.key === " " || event.key === "Enter")) return;
+    if (event.target.matches("[data-kept]")) return;  // a list that kept the focus of a button that is gone
     const scrolls = event.shiftKey || event.target.matches(".scroll:focus-visible");  // the browser, by a space
     if (event.key === " " && !scrolls) { event.preventDefault(); if (!event.repeat) this.togglePause(); }
     if (event.key === "." && !event.repeat && this.state?.paused) operate(this.node, "step", { steps: 1 });

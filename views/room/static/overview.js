@@ -47,7 +47,10 @@ export class Overview {
       if (hasFocus) card.querySelector("a").focus();
       this.cards.set(entry.node, card);
     });
-    for (const entry of nodes) this.list.append(this.cards.get(entry.node));
+    nodes.forEach((entry, place) => {  // only those out of place: a card that moves loses the focus
+      const card = this.cards.get(entry.node), at = this.list.children[place];
+      if (card !== at) this.list.insertBefore(card, at ?? null);
+    });
   }
 
   card(entry) {

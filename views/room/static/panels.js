@@ -1,7 +1,7 @@
 // Panels of a node: alarms, events, controllers, faults.
 
 import { operate, toast } from "./api.js";
-import { fill, h, openDialog, setText } from "./dom.js";
+import { fill, h, openDialog, refill, setText } from "./dom.js";
 import { bytes, duration, exact, num, shortTime, withUnit, words } from "./format.js";
 import { forOperators, mayChange, refusal, refusalNote } from "./session.js";
 import { change } from "./view.js";
@@ -20,11 +20,9 @@ export class AlarmPanel {
     const text = JSON.stringify([alarms.map((alarm) => ({ ...alarm, value: num(alarm.value, alarm.unit) })), state.alarms?.length]);
     if (text === this.text || this.root.contains(document.activeElement) && document.activeElement.matches("input, select")) return;
     this.text = text;
-    const focus = this.root.contains(document.activeElement) ? document.activeElement.getAttribute("aria-label") : null;
     alarms.sort((a, b) => ORDER.indexOf(a.state) - ORDER.indexOf(b.state) || (b.raised > a.raised ? 1 : -1));
-    fill(this.root, alarms.length ? h("ul", { class: "alarms" }, alarms.map((alarm) => this.item(alarm)))
+    refill(this.root, alarms.length ? h("ul", { class: "alarms" }, alarms.map((alarm) => this.item(alarm)))
       : h("p", { class: "empty" }, state.alarms?.length ? state.alarms.length === 1 ? "The alarm is normal." : `All ${state.alarms.length} alarms are normal.` : refusal() ? "No alarms are known here." : "This node has no alarm rules. Start it with --alarms FILE.yaml."));
-    if (focus) this.root.querySelector(`[aria-label="${CSS.escape(focus)}"]`)?.focus();
   }
 
   item(alarm) {
@@ -171,7 +169,7 @@ export class FaultPanel {
   show() {
     const { faults } = this.plan;
     const label = (fault) => `End ${this.text(fault)}`;
-    fill(this.list, faults.map((fault, place) => h("li", { class: "row" }, h("span", {}, this.text(fault)), h("span", { class: "grow" }),
+    refill(this.list, faults.map((fault, place) => h("li", { class: "row" }, h("span", {}, this.text(fault)), h("span", { class: "grow" }),
       h("button", forOperators({ class: "small", "aria-label": label(fault), onclick: () => this.send(faults.filter((_, other) => other !== place)) }), "End"))));
   }
 

@@ -1,7 +1,7 @@
 // One point: its value, its trend, its priority array, and overrides.
 
 import { get, nodePath, operate } from "./api.js";
-import { fill, h, icon, setText } from "./dom.js";
+import { fill, h, icon, refill, setText } from "./dom.js";
 import { duration, hoursBefore, num, shortTime, shown, withUnit, words } from "./format.js";
 import { eventItem } from "./panels.js";
 import { forOperators, mayChange, refusalNote } from "./session.js";
@@ -79,13 +79,16 @@ export class PointPanel {
   }
 
   async load() {
-    const { point } = this;
-    if (point.kind === "actuator") {
-      try {
-        this.draw(await get(`${nodePath(this.node, "priorities")}?point=${encodeURIComponent(point.name)}`));
-      } catch (error) { fill(this.array, h("p", { class: "muted" }, error.message)); }  // such as a replay, which takes no requests
-    }
+    await this.loadArray();
     await this.trend();
+  }
+
+  async loadArray() {
+    const { point } = this;
+    if (point.kind !== "actuator") return;
+    try {
+      this.draw(await get(`${nodePath(this.node, "priorities")}?point=${encodeURIComponent(point.name)}`));
+    } catch (error) { fill(this.array, h("p", { class: "muted" }, error.message)); }  // such as a replay, which takes no requests
   }
 
   async trend() {
@@ -114,7 +117,7 @@ export class PointPanel {
       h("td", {}, entry.expires ? shortTime(entry.expires) : "–"),
       h("td", {}, h("button", forOperators({ class: "small", "aria-label": `Relinquish priority ${entry.priority}`, onclick: () => this.relinquish(entry.priority) }), "Relinquish"))));
     const isBaseline = !used.length;
-    fill(this.array, h("table", {},
+    refill(this.array, h("table", {},
       h("thead", {}, h("tr", {}, [["Priority", ""], ["Value", "number"], ["By", ""], ["Until", ""], ["", ""]].map(([text, kind]) => h("th", { scope: "col", class: kind || null }, text || h("span", { class: "visually-hidden" }, "Change"))))),
       h("tbody", {}, rows,
         h("tr", { class: isBaseline ? "effective" : null }, h("th", { scope: "row" }, "baseline control"),
@@ -141,6 +144,9 @@ export class PointPanel {
 
   showEvents(events) {
     const own = events.filter((event) => names(event.text, this.point.name)).slice(-8).reverse();
+    const latest = JSON.stringify(own[0]);
+    if (this.latest !== undefined && latest !== this.latest) this.loadArray();
+    this.latest = latest;
     fill(this.events, own.length ? own.map(eventItem) : h("li", { class: "muted" }, "none since the control room was started"));
   }
 }
