@@ -15,7 +15,7 @@ from pydantic_core import to_json
 from starlette.datastructures import Headers
 from starlette.requests import ClientDisconnect
 from starlette.responses import HTMLResponse, PlainTextResponse
-from starlette.types import Receive, Scope, Send
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from zenostat.gateways.boptest import parsing
 from zenostat.gateways.boptest.access import TestAccess, UnknownToken, check_sender
@@ -116,6 +116,7 @@ class Service:
         add("/docs", self._page, methods=["GET"], include_in_schema=False)
         self.app.add_exception_handler(404, self._not_found)
         self.app.add_exception_handler(405, self._not_allowed)
+        self.app.add_exception_handler(ZenostatError, self._refused)
 
     def close(self) -> None:
         """End all tests; idempotent."""
@@ -130,17 +131,14 @@ class Service:
                 self.counts[message["status"]] += 1
             await send(message)
 
+        answer: ASGIApp = self.app
         try:
             check_sender(Headers(scope=scope), is_local=self.is_local)
-        except AccessDenied as error:
-            await self._error(error)(scope, receive, counted)
-            return
-        request = self._operation_request(scope, receive)
-        if request is None:
-            await self.app(scope, receive, counted)
-            return
-        handle = self._handlers[request.method, request.path_params["operation"]]
-        await (await handle(request))(scope, receive, counted)
+            if (request := self._operation_request(scope, receive)) is not None:
+                answer = await self._handlers[request.method, request.path_params["operation"]](request)
+        except ZenostatError as error:
+            answer = self._error(error)
+        await answer(scope, receive, counted)
 
     def _operation_request(self, scope: Scope, receive: Receive) -> Request | None:
         """Return a request of an operation of a test, without the routes and middleware; None for other requests."""
@@ -161,7 +159,7 @@ class Service:
     def _envelope(self, status: int, message: str, payload: Any) -> Response:
         return self._answer(status, {"status": status, "message": message, "payload": payload})
 
-    def _error(self, error: ZenostatError) -> Response:
+    def _error(self, error: Exception) -> Response:
         if isinstance(error, UnknownTest):
             testid = str(error)[:200]
             message = {
@@ -186,6 +184,9 @@ class Service:
 
     async def _not_allowed(self, _: Request, __: Exception) -> Response:
         return self._text(405, "Method Not Allowed")
+
+    async def _refused(self, _: Request, error: Exception) -> Response:
+        return self._error(error)
 
     async def _run_alone(self, testid: str, work: Callable[[], Response]) -> Response:
         """Run work when the earlier requests of its test have ended; those that wait occupy no thread."""
@@ -215,15 +216,10 @@ class Service:
     # A test
 
     def _handler(self, operation: Operation) -> Handler:
-        needs_body = operation.takes_fields
-
         async def handle(request: Request) -> Response:
             testid = request.path_params.get("testid", self.testid)
-            try:
-                client = self._access.client(request.headers)
-                fields = await _fields(request) if needs_body else {}
-            except (BadRequest, UnknownToken) as error:
-                return self._error(error)
+            client = self._access.client(request.headers)
+            fields = await _fields(request) if operation.takes_fields else {}
 
             def work() -> Response:
                 with self.manager.use(testid) as test:
@@ -242,10 +238,7 @@ class Service:
         return handle
 
     async def _branch(self, request: Request, testid: str) -> Response:
-        try:
-            client, fields = self._access.client(request.headers), await _fields(request)
-        except (BadRequest, UnknownToken) as error:
-            return self._error(error)
+        client, fields = self._access.client(request.headers), await _fields(request)
 
         def work() -> Response:
             self._access.check_change(client, self.manager.client_of(testid))
@@ -268,6 +261,7 @@ class Service:
         return await self._start(request, self.manager.select_async)
 
     async def _start(self, request: Request, start: Callable[[str, str], str]) -> Response:
+        client = self._access.client(request.headers)
         name = "/".join(request.path_params[part] for part in ("namespace", "name") if part in request.path_params)
 
         def work() -> Response:
@@ -281,21 +275,14 @@ class Service:
             except UsageError as error:
                 return self._text(400, str(error))
 
-        try:
-            client = self._access.client(request.headers)
-            await _body(request)
-        except (BadRequest, UnknownToken) as error:
-            return self._error(error)
+        await _body(request)
         return await self._run(work)
 
     async def _status(self, testid: str) -> Response:
         return await self._run(lambda: self._answer(200, self.manager.status(testid)))
 
     async def _stop(self, request: Request, testid: str) -> Response:
-        try:
-            client = self._access.client(request.headers)
-        except UnknownToken as error:
-            return self._error(error)
+        client = self._access.client(request.headers)
 
         def work() -> Response:
             self._access.check_change(client, self.manager.client_of(testid))
