@@ -37,9 +37,7 @@ def acknowledge(
     Example: `zenostat acknowledge office zone_too_warm --comment "fan is being repaired" --source ann`
     """
     _send(
-        node,
-        options,
-        lambda bus: bus.acknowledge(node, alarm, slot=slot, source=source or person(), comment=comment),
+        node, options, lambda bus: bus.acknowledge(node, alarm, slot=slot, source=source or person(), comment=comment)
     )
 
 
@@ -78,11 +76,7 @@ def unshelve(
 
     Example: `zenostat unshelve office zone_too_warm --source ann`
     """
-    _send(
-        node,
-        options,
-        lambda bus: bus.unshelve(node, alarm, slot=slot, source=source or person(), comment=comment),
-    )
+    _send(node, options, lambda bus: bus.unshelve(node, alarm, slot=slot, source=source or person(), comment=comment))
 
 
 @on_bus

@@ -39,8 +39,7 @@ _MODES: Mapping[str, Sequence[str]] = {
 _NEEDED = {"--merge": "--out", "--sample": "--submit-check"}
 
 _Names = Annotated[
-    str | None,
-    typer.Option(help="With --out or --check, only these; names separated by commas.", show_default=False),
+    str | None, typer.Option(help="With --out or --check, only these; names separated by commas.", show_default=False)
 ]
 
 

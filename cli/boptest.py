@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 
 def boptest(
     testcase: Annotated[
-        str | None,
-        typer.Argument(help="Select a test case for clients of old versions, whose paths have no test id."),
+        str | None, typer.Argument(help="Select a test case for clients of old versions, whose paths have no test id.")
     ] = None,
     address: Annotated[str, typer.Option(help="HOST:PORT to listen on; port 0 chooses a free one.")] = "127.0.0.1:8000",
     files: Annotated[

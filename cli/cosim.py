@@ -180,14 +180,7 @@ def show_balances(plant: DistrictPlant, elapsed_s: float) -> None:
         return
     rows = []
     for balance in plant.balances():
-        terms = (
-            balance.sent,
-            balance.received,
-            balance.clipped,
-            balance.resampled,
-            balance.residual,
-            balance.stored,
-        )
+        terms = (balance.sent, balance.received, balance.clipped, balance.resampled, balance.residual, balance.stored)
         time_s = elapsed_s - balance.missing_steps * plant.description.run_period.step_s
         cells = (f"{term / time_s:.6g}" if time_s else "" for term in terms)
         rows.append((balance.label, balance.unit, *cells, f"{balance.closure:.1e}"))

@@ -189,15 +189,7 @@ def serve(
     """
     check_name(source, "--source")
     names = {source: "choose another name with --source", **(exclusive or {})}
-    attempt = partial(
-        _serve,
-        node=node,
-        gateway=gateway,
-        source=source,
-        via=via,
-        names=names,
-        options=options,
-    )
+    attempt = partial(_serve, node=node, gateway=gateway, source=source, via=via, names=names, options=options)
     number = asyncio.run(_until_served(attempt, wait=wait))
     if number:
         raise SystemExit(128 + number)

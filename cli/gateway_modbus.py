@@ -25,8 +25,7 @@ def modbus(
     ] = f"127.0.0.1:{DEFAULT_PORT}",
     priority: Priority = 8,
     word_order: Annotated[
-        str,
-        typer.Option(metavar="big|little", help="First word of a 32-bit value: the high one (big) or the low one."),
+        str, typer.Option(metavar="big|little", help="First word of a 32-bit value: the high one (big) or the low one.")
     ] = "big",
     source: Annotated[str, typer.Option(help="Name of the gateway among the sources of values.")] = "modbus",
     map_file: Annotated[
@@ -56,13 +55,7 @@ def modbus(
     serve(
         node,
         lambda client: ModbusGateway(
-            client,
-            host,
-            port,
-            priority=priority,
-            is_little_endian=word_order == "little",
-            clients=known,
-            notify=notify,
+            client, host, port, priority=priority, is_little_endian=word_order == "little", clients=known, notify=notify
         ),
         source=source,
         via="modbus",

@@ -40,10 +40,7 @@ def stop(node: Node, options: BusOptions = DEFAULTS) -> None:
 
     Example: `zenostat stop office`
     """
-    with (
-        options.open_bus(Role.OPERATOR) as bus,
-        bus.listen(node) as samples,
-    ):
+    with options.open_bus(Role.OPERATOR) as bus, bus.listen(node) as samples:
         bus.stop(node, source=person())
         try:
             for _ in samples:

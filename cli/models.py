@@ -36,8 +36,7 @@ def upgrade(
         Path | None, typer.Option(help="File to write: an epJSON or an IDF, by its suffix.", metavar="FILE")
     ] = None,
     transition_programs: Annotated[
-        Path | None,
-        typer.Option(help="Folder of EnergyPlus's own transition programs, to use in place of the rules."),
+        Path | None, typer.Option(help="Folder of EnergyPlus's own transition programs, to use in place of the rules.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print each change as JSON.")] = False,
 ) -> None:

@@ -39,9 +39,7 @@ Policy = Annotated[
 Grace = Annotated[
     float,
     typer.Option(
-        "--grace",
-        metavar="SECONDS",
-        help="Wall time that a controller may be disconnected before the policy applies.",
+        "--grace", metavar="SECONDS", help="Wall time that a controller may be disconnected before the policy applies."
     ),
 ]
 Deadline = Annotated[
@@ -75,8 +73,7 @@ ResumeFile = Annotated[
 RecordOnFull = Annotated[messages.OnFull, argument("record_on_full")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the file of --record if it is a recording.")]
 HistoryMB = Annotated[
-    float,
-    typer.Option("--history-mb", min=0, max=4096, help="Memory for the history of the episode, in MB; 0: none."),
+    float, typer.Option("--history-mb", min=0, max=4096, help="Memory for the history of the episode, in MB; 0: none.")
 ]
 OutputDir = Annotated[Path | None, argument("output_dir")]
 KeepLast = Annotated[int | None, argument("keep_last", min=1, note=" Default: all.")]

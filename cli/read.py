@@ -60,13 +60,7 @@ def read(
         return
     columns = ("kind", "name", "value", "unit", "low", "high", "value source")
     title = f"{node} at {sample.time}: sample {sample.step} of episode {sample.episode}"
-    show(
-        title,
-        columns,
-        [_cells(row) for row in listed],
-        right=("value", "low", "high"),
-        wrap=("name", "value source"),
-    )
+    show(title, columns, [_cells(row) for row in listed], right=("value", "low", "high"), wrap=("name", "value source"))
 
 
 def check_points(manifest: Manifest, names: Sequence[str]) -> None:

@@ -22,8 +22,7 @@ from zenostat.topics.plurals import counted
 def record(
     node: Node,
     file: Annotated[
-        Path | None,
-        typer.Option("--out", help="File (`.mcap`) or folder on the node's machine, which writes it."),
+        Path | None, typer.Option("--out", help="File (`.mcap`) or folder on the node's machine, which writes it.")
     ] = None,
     now: Annotated[
         bool, typer.Option("--now", help="Begin at once; what is before the next reset cannot be verified.")

@@ -29,8 +29,7 @@ def room(
         str, typer.Option(help="HOST:PORT of this machine to listen on; port 0 chooses a free one.")
     ] = "127.0.0.1:8600",
     expose: Annotated[
-        bool,
-        typer.Option("--expose", help="Allow an address that others reach; needs --page-certificate and --keys."),
+        bool, typer.Option("--expose", help="Allow an address that others reach; needs --page-certificate and --keys.")
     ] = False,
     page_certificate: Annotated[
         Path | None,
@@ -47,8 +46,7 @@ def room(
         str | None, typer.Option(help="Name under which your changes are recorded. Default: your user name.")
     ] = None,
     api_token_file: Annotated[
-        Path | None,
-        typer.Option(help="File with the token of Prometheus and Grafana; created if it is missing."),
+        Path | None, typer.Option(help="File with the token of Prometheus and Grafana; created if it is missing.")
     ] = None,
     scenarios: Annotated[
         Path | None,

@@ -50,11 +50,7 @@ def router(
 
             timer = stack.enter_context(Timer())
             revoked = DenyList(
-                folder,
-                session,
-                timer,
-                lambda names: out.print(f"revoked: {', '.join(sorted(names))}"),
-                err.warning,
+                folder, session, timer, lambda names: out.print(f"revoked: {', '.join(sorted(names))}"), err.warning
             )
             stack.callback(revoked.close)
             opened.watch_expiry(timer, err.warning)

@@ -57,7 +57,7 @@ def listing(
         return
     out.print(
         "An id has the form BUILDING-WEATHER-ACTIONS-v1, or BUILDING-WEATHER-ACTIONS-stochastic-v1 with weather noise. "
-        'Each id is an environment: gym.make("zenostat/ID"). To list ids: zenostat scenarios --match TEXT',
+        'Each id is an environment: gym.make("zenostat/ID"). To list ids: zenostat scenarios --match TEXT'
     )
 
 

@@ -47,13 +47,7 @@ def weathers(
         return
     rows = [_cells(entry.name, summary) for entry, summary in zip(entries, summaries, strict=True)]
     numbers = [name for name in COLUMNS if name not in ("weather", "place", "climate\nzone", "days", "years")]
-    show(
-        counted(len(rows), "weather file"),
-        COLUMNS,
-        rows,
-        right=numbers,
-        wrap=("weather", "place", "years", "days"),
-    )
+    show(counted(len(rows), "weather file"), COLUMNS, rows, right=numbers, wrap=("weather", "place", "years", "days"))
 
 
 def _cells(name: str, summary: WeatherSummary) -> tuple[str, ...]:

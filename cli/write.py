@@ -48,11 +48,7 @@ def write(
 
 @on_bus
 def relinquish(
-    node: Node,
-    point: Point,
-    priority: Priority = 8,
-    options: BusOptions = DEFAULTS,
-    source: Source = None,
+    node: Node, point: Point, priority: Priority = 8, options: BusOptions = DEFAULTS, source: Source = None
 ) -> None:
     """Relinquish an actuator that was set by hand: the next lower priority takes effect, or baseline control.
 

@@ -322,11 +322,7 @@ def _time_of_year(time: datetime) -> tuple[int, ...]:
 
 
 def _transfer(
-    file: DistrictFile,
-    connection: Connection,
-    members: Mapping[str, Member],
-    errors: FileErrors,
-    warnings: list[str],
+    file: DistrictFile, connection: Connection, members: Mapping[str, Member], errors: FileErrors, warnings: list[str]
 ) -> Transfer | None:
     spec, location = connection.spec, connection.location
     source, target = members[plant_of(connection.source)], members[plant_of(connection.target)]
@@ -428,10 +424,7 @@ def _is_instant_power(source: Member, point: Sensor | Meter) -> bool:
 
 
 def _units(
-    connection: Connection,
-    source: tuple[Member, Sensor | Meter],
-    target: tuple[Member, Actuator],
-    errors: FileErrors,
+    connection: Connection, source: tuple[Member, Sensor | Meter], target: tuple[Member, Actuator], errors: FileErrors
 ) -> tuple[float, float] | None:
     """Return factor and offset from a value of the source to one in the target's unit."""
     spec, location = connection.spec, connection.location

@@ -9,13 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from zenostat.bridge.node.plant import (
-    PlantDefaults,
-    PlantDescription,
-    Provenance,
-    RunningPlant,
-    Site,
-)
+from zenostat.bridge.node.plant import PlantDefaults, PlantDescription, Provenance, RunningPlant, Site
 from zenostat.cosim.binding import Binding
 from zenostat.cosim.copies import DistrictCopy, PlantSnapshots, PlantSource
 from zenostat.cosim.coupled import GuardedPlant, RepeatedPlant

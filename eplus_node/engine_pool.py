@@ -333,13 +333,7 @@ class EnginePool:
         self, files: EpisodeFiles, folder: Path, cpus: Sequence[int], *, keep_output: bool, branch: bool = False
     ) -> EngineSpec:
         return engine_spec(
-            self._plan,
-            files,
-            folder,
-            keep_output=keep_output,
-            cpus=tuple(cpus),
-            poll=self._poll,
-            branch=branch,
+            self._plan, files, folder, keep_output=keep_output, cpus=tuple(cpus), poll=self._poll, branch=branch
         )
 
 

@@ -56,12 +56,7 @@ def display_comfort(manifest: Manifest, reward: Reward | None = None) -> Comfort
     source = rated.source.partition(", ")[2]
     setpoints = [rated.setpoints[place] if place >= 0 else () for place in places]
     return Comfort(
-        source,
-        shown.zones.tolist(),
-        shown.people,
-        band,
-        follows_setpoints=rated.follows_setpoints,
-        setpoints=setpoints,
+        source, shown.zones.tolist(), shown.people, band, follows_setpoints=rated.follows_setpoints, setpoints=setpoints
     )
 
 

@@ -36,10 +36,7 @@ _ACTIONS = {"convert": "convert", "survey": "start", "schedules": "compute the s
 
 
 def call(
-    verb: str,
-    *arguments: str | Path,
-    file: str | Path | None = None,
-    locate: Callable[[str], str | None] | None = None,
+    verb: str, *arguments: str | Path, file: str | Path | None = None, locate: Callable[[str], str | None] | None = None
 ) -> None:
     """Run this module as a program, which writes its result to the file that the last argument names.
 

@@ -173,8 +173,7 @@ class ScenarioArguments(TypedDict, total=False):
         ),
     ]
     record_on_full: Annotated[
-        str | None,
-        Doc("If the disk is slower than the node: `wait` for it, or `stop` the recording; by default wait."),
+        str | None, Doc("If the disk is slower than the node: `wait` for it, or `stop` the recording; by default wait.")
     ]
     faults: Annotated[str | Path | None, Doc("Plan of faults to inject (YAML); see docs/faults.md.")]
     alarms: Annotated[str | Path | None, Doc("Alarm rules of sensors and meters (YAML); see docs/alarms.md.")]

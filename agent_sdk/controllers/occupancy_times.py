@@ -56,11 +56,7 @@ class OccupancyTimes:
         return people not in self._largest and now.hour in OPEN_HOURS
 
     def is_occupied(
-        self,
-        people: People,
-        measured: Floats,
-        now: datetime,
-        is_started: Callable[[datetime], bool],
+        self, people: People, measured: Floats, now: datetime, is_started: Callable[[datetime], bool]
     ) -> bool:
         """Return whether zones are occupied, or are preconditioned for people who are expected.
 

@@ -146,9 +146,7 @@ class AgentsEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
 
     @one_thread(BUSY)
     def reset(
-        self,
-        seed: int | None = None,
-        options: dict[str, Any] | None = None,
+        self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
         """Start an episode, or return to a snapshot of `env`; see `BuildingEnv.reset`.
 

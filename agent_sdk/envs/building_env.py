@@ -16,14 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from zenostat.agent_sdk.envs import arguments, spaces
 from zenostat.agent_sdk.envs.action_values import Actions, as_array
 from zenostat.agent_sdk.envs.branch_env import BranchVectorEnv, branch_request, open_branch
-from zenostat.agent_sdk.envs.connection import (
-    NOT_STARTED,
-    RENDER_MODES,
-    ConnectedEnv,
-    Link,
-    NodeConnection,
-    one_caller,
-)
+from zenostat.agent_sdk.envs.connection import NOT_STARTED, RENDER_MODES, ConnectedEnv, Link, NodeConnection, one_caller
 from zenostat.agent_sdk.envs.episode_state import EpisodeState, require_episode
 from zenostat.agent_sdk.envs.infos import SampleInfos
 from zenostat.agent_sdk.envs.rendering import EpisodeRenderer

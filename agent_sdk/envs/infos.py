@@ -149,8 +149,4 @@ class VectorSampleInfos:
 
 
 def _start_entries(start: EpisodeStart) -> dict[str, Any]:
-    return {
-        "weather": start.weather,
-        "weather_noise": start.noise_parameters,
-        "engine_start": start.engine_start,
-    }
+    return {"weather": start.weather, "weather_noise": start.noise_parameters, "engine_start": start.engine_start}

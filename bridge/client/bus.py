@@ -17,15 +17,7 @@ from typing import TypeVar
 
 from zenostat.bridge.client.connection import Connection, build
 from zenostat.bridge.client.controller_link import ControllerLink, open_link
-from zenostat.bridge.client.history import (
-    History,
-    first_step,
-    groups,
-    join_points,
-    join_replies,
-    last_step,
-    row_count,
-)
+from zenostat.bridge.client.history import History, first_step, groups, join_points, join_replies, last_step, row_count
 from zenostat.bridge.client.listener import listen
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.client.trials import CommandValues, trial_request, tried_samples
@@ -329,14 +321,7 @@ class Bus(Connection):
         return self.ask(keys.ACKNOWLEDGE, node, request, Ack)
 
     def shelve(
-        self,
-        node: str,
-        alarm: str,
-        duration_s: float,
-        *,
-        slot: int | None = None,
-        source: str = "",
-        comment: str = "",
+        self, node: str, alarm: str, duration_s: float, *, slot: int | None = None, source: str = "", comment: str = ""
     ) -> Ack:
         """Shelve alarms: for a time they alert nobody. For a shelved alarm, the time begins anew.
 

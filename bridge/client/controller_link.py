@@ -192,11 +192,7 @@ class ControllerLink:
 
     @_one_receiver
     def reset(
-        self,
-        *,
-        seed: int | list[int | None] | None = None,
-        slots: list[int] | None = None,
-        snapshot: str = "",
+        self, *, seed: int | list[int | None] | None = None, slots: list[int] | None = None, snapshot: str = ""
     ) -> SampleView:
         """Start a new episode and wait for its first sample.
 

@@ -33,11 +33,7 @@ _ALL = bytes([CommandOp.SET])
 
 
 def trial_request(
-    manifest: Manifest,
-    sequences: Sequence[Sequence[CommandValues]],
-    *,
-    at: Sample | None = None,
-    priority: int = 10,
+    manifest: Manifest, sequences: Sequence[Sequence[CommandValues]], *, at: Sample | None = None, priority: int = 10
 ) -> TrySteps:
     """Return the request for a trial.
 

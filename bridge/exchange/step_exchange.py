@@ -34,14 +34,7 @@ from zenostat.bridge.exchange.transitions import TRANSITIONS, IllegalTransition,
 from zenostat.topics import codec
 from zenostat.topics.messages import Claim, ControllerState, ControllerStatus, Event, EventKind, Mode, State
 
-__all__ = [
-    "MAX_MESSAGES_PER_STEP",
-    "MAX_SOURCE_NAME",
-    "TRANSITIONS",
-    "IllegalTransition",
-    "StepExchange",
-    "Trigger",
-]
+__all__ = ["MAX_MESSAGES_PER_STEP", "MAX_SOURCE_NAME", "TRANSITIONS", "IllegalTransition", "StepExchange", "Trigger"]
 
 # Used in each timestep: access to an enum's member raises and catches an error in Python 3.11.
 _GO, _SAMPLED, _OVER, _WAITING, _LOCKSTEP = Trigger.GO, Trigger.SAMPLED, Trigger.ENDED, State.WAITING, Mode.LOCKSTEP

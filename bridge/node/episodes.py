@@ -159,11 +159,7 @@ class EpisodeManager:
         self._plant.clean_up()
 
     def _begin(
-        self,
-        steps: dict[int, int],
-        seeds: list[int | None],
-        source: str,
-        snapshot: Snapshot | None = None,
+        self, steps: dict[int, int], seeds: list[int | None], source: str, snapshot: Snapshot | None = None
     ) -> None:
         """Begin episodes whose first samples the plant has reached, and publish these.
 

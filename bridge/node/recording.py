@@ -22,13 +22,7 @@ from zenostat.topics.messages import (
     StartRecording,
     StopRecording,
 )
-from zenostat.topics.recording import (
-    WEATHER_COLUMNS,
-    RecordedEpisode,
-    RecordedSnapshot,
-    RecordedState,
-    RecordedWeather,
-)
+from zenostat.topics.recording import WEATHER_COLUMNS, RecordedEpisode, RecordedSnapshot, RecordedState, RecordedWeather
 
 if TYPE_CHECKING:
     from zenostat.bridge.node.server import NodeServer

@@ -29,15 +29,8 @@ from zenostat.topics import yaml12
 from zenostat.topics.alarm_rules import AlarmRules
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidRecording
-from zenostat.topics.messages import (
-    Manifest,
-    State,
-)
-from zenostat.topics.recording import (
-    RecordedEpisode,
-    RecordedSnapshot,
-    RecordedState,
-)
+from zenostat.topics.messages import Manifest, State
+from zenostat.topics.recording import RecordedEpisode, RecordedSnapshot, RecordedState
 
 if TYPE_CHECKING:
     from zenostat.bridge.node.server import NodeServer

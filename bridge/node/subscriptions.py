@@ -513,8 +513,7 @@ class Subscriptions:
                 return
             on_receipt(request)
             waiting.append(
-                size,
-                lambda: request.answer(self._reject_ending) if self._is_refused(topic) else handler(request),
+                size, lambda: request.answer(self._reject_ending) if self._is_refused(topic) else handler(request)
             )
 
         key = topic.everywhere(self.node)

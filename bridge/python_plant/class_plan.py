@@ -16,26 +16,12 @@ from time import monotonic
 from typing import Any
 
 from zenostat.bridge.engine.spec import EngineProgram
-from zenostat.bridge.node.plant import (
-    PlantDescription,
-    Provenance,
-    RunPeriod,
-)
+from zenostat.bridge.node.plant import PlantDescription, Provenance, RunPeriod
 from zenostat.bridge.python_plant.description import split_name
 from zenostat.bridge.runtime.idle_watch import LOOK_S, IdleWatch
 from zenostat.topics import VERSION, errors
 from zenostat.topics.errors import EngineDied, EngineUnresponsive, PlantFailed
-from zenostat.topics.messages import (
-    Action,
-    Actuator,
-    ElectricGrid,
-    Meter,
-    Sensor,
-    Systems,
-    Task,
-    TimeField,
-    Versions,
-)
+from zenostat.topics.messages import Action, Actuator, ElectricGrid, Meter, Sensor, Systems, Task, TimeField, Versions
 
 HOST = (sys.executable, "-P", "-m", "zenostat.bridge.python_plant.host")
 

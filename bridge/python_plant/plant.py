@@ -15,19 +15,11 @@ from zenostat.bridge.engine.client import EngineClient
 from zenostat.bridge.engine.group import EngineGroup
 from zenostat.bridge.engine.lists import start_all
 from zenostat.bridge.engine.spec import EngineSpec
-from zenostat.bridge.node.plant import (
-    PlantContext,
-    PlantDefaults,
-    RunningPlant,
-    SlotPlacement,
-)
+from zenostat.bridge.node.plant import PlantContext, PlantDefaults, RunningPlant, SlotPlacement
 from zenostat.bridge.python_plant.class_plan import PYTHON, ClassPlan
 from zenostat.bridge.python_plant.kept_copies import KeptCopies
 from zenostat.topics.errors import EngineDied, ForkFailed, InvalidRecording
-from zenostat.topics.messages import (
-    EngineStart,
-    EpisodeStart,
-)
+from zenostat.topics.messages import EngineStart, EpisodeStart
 from zenostat.topics.seed_validation import MAX_SEED
 
 CLOSE_S = 1.0

@@ -188,12 +188,7 @@ class ChunkWriter:
         name = COMPRESSION.encode()
         body = b"".join((struct.pack("<I", len(name)), name, struct.pack("<Q", len(packed)), packed))
         head = _CHUNK.pack(
-            int(Opcode.CHUNK),
-            _CHUNK.size - 9 + len(body),
-            self._start_ns,
-            self._end_ns,
-            len(data),
-            zlib.crc32(data),
+            int(Opcode.CHUNK), _CHUNK.size - 9 + len(body), self._start_ns, self._end_ns, len(data), zlib.crc32(data)
         )
         chunk = head + body
         index, offsets = message_index(self._index, self.offset + len(chunk))

@@ -13,16 +13,7 @@ from typing import BinaryIO
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    Chunk,
-    ChunkIndex,
-    Metadata,
-    MetadataIndex,
-    Schema,
-)
+from mcap.records import Attachment, AttachmentIndex, Channel, Chunk, ChunkIndex, Metadata, MetadataIndex, Schema
 
 from zenostat.bridge.recording.channels import AUDIT, CHANNELS
 from zenostat.bridge.recording.chunk_writer import COMPRESSION, message_index

@@ -17,13 +17,7 @@ from operator import itemgetter
 from typing import Any, NoReturn
 
 from zenostat.bridge.engine.protocol import PROCESS_ID, FrameKind, OrderKind
-from zenostat.bridge.engine.system_calls import (
-    fork_with_sockets,
-    leave,
-    reopen_files,
-    replace_file,
-    set_up_process,
-)
+from zenostat.bridge.engine.system_calls import fork_with_sockets, leave, reopen_files, replace_file, set_up_process
 from zenostat.bridge.runtime.polling import Polling
 from zenostat.eplus_node.engine.huge_pages import collapse_huge_pages
 from zenostat.eplus_node.engine.memory import SaturationCache

@@ -15,16 +15,7 @@ from zenostat.bridge.client.sample import SampleView
 from zenostat.gateways.node_client import NodeClient
 from zenostat.topics import keys
 from zenostat.topics.errors import NodeLost, PeerError, RequestRejected, ZenostatError
-from zenostat.topics.messages import (
-    Ack,
-    Manifest,
-    Message,
-    Pause,
-    Query,
-    Resume,
-    Status,
-    StepRequest,
-)
+from zenostat.topics.messages import Ack, Manifest, Message, Pause, Query, Resume, Status, StepRequest
 
 T = TypeVar("T")
 

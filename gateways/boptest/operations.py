@@ -78,11 +78,7 @@ OPERATIONS: tuple[Operation, ...] = (
         required=("start_time", "warmup_period"),
     ),
     Operation(
-        "POST",
-        "/advance",
-        "Simulate a control step with inputs `x_u` and `x_activate`",
-        ExtendedTest.advance,
-        {},
+        "POST", "/advance", "Simulate a control step with inputs `x_u` and `x_activate`", ExtendedTest.advance, {}
     ),
     Operation("GET", "/scenario", "The scenario", lambda test, _: test.get_scenario()),
     Operation(

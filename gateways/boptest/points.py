@@ -55,12 +55,7 @@ class Point:
 
     def as_json(self) -> dict[str, str | float | None]:
         """Return BOPTEST's description of a point."""
-        return {
-            "Unit": self.unit,
-            "Description": self.description,
-            "Minimum": self.minimum,
-            "Maximum": self.maximum,
-        }
+        return {"Unit": self.unit, "Description": self.description, "Minimum": self.minimum, "Maximum": self.maximum}
 
 
 class PointTable:

@@ -25,10 +25,7 @@ _WEEKDAYS = ("mon", "tue", "wed", "thu", "fri")
 
 DEFAULT_ELECTRICITY: Mapping[str, Rate] = {
     "constant": 0.15,
-    "dynamic": {
-        "table": [{"value": 0.20, "hours": [7, 22], "weekdays": list(_WEEKDAYS)}],
-        "otherwise": 0.105,
-    },
+    "dynamic": {"table": [{"value": 0.20, "hours": [7, 22], "weekdays": list(_WEEKDAYS)}], "otherwise": 0.105},
     "highly_dynamic": {
         "table": [
             {"value": 0.31, "hours": [17, 20], "weekdays": list(_WEEKDAYS)},
@@ -98,9 +95,7 @@ def read_rates(prices: Mapping[str, Rate] | None = None, emissions: Mapping[str,
     own_prices, own_emissions = read_prices(named), read_emissions(emissions)
     series = {name: _electricity_price(name, rate) for name, rate in electricity.items()}
     rates = Rates(
-        series,
-        {**read_prices(DEFAULT_PRICES), **own_prices},
-        {**read_emissions(DEFAULT_EMISSIONS), **own_emissions},
+        series, {**read_prices(DEFAULT_PRICES), **own_prices}, {**read_emissions(DEFAULT_EMISSIONS), **own_emissions}
     )
     return Rates(rates.electricity, rates.prices, rates.emissions, _points(rates))
 

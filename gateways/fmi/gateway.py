@@ -21,14 +21,7 @@ from zenostat.bridge.client.sample import SampleView
 from zenostat.gateways.addresses import keep_alive
 from zenostat.gateways.clients import EVERYTHING, UNRESTRICTED, Clients
 from zenostat.gateways.fmi.description import Interface
-from zenostat.gateways.fmi.messages import (
-    Flags,
-    Kind,
-    MalformedRequest,
-    encode,
-    encode_failure,
-    read_request,
-)
+from zenostat.gateways.fmi.messages import Flags, Kind, MalformedRequest, encode, encode_failure, read_request
 from zenostat.gateways.notices import Notices
 from zenostat.topics.addresses import join_address
 from zenostat.topics.arrays import Floats

@@ -15,14 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-from zenostat.lab.benchmark.bound_moves import (
-    Actions,
-    SequenceSpace,
-    Windows,
-    changed,
-    changed_plans,
-    combine,
-)
+from zenostat.lab.benchmark.bound_moves import Actions, SequenceSpace, Windows, changed, changed_plans, combine
 from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import SimulatorError
 

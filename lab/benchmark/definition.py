@@ -214,12 +214,7 @@ class BenchmarkSet:
         return self.arguments(*task.key) | form(controller, task.building, task.season)
 
     def training(
-        self,
-        algorithm: str,
-        building: str,
-        season: str,
-        training_seed: int,
-        rule: Mapping[str, Any] | None = None,
+        self, algorithm: str, building: str, season: str, training_seed: int, rule: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
         """Return the fields of a training file; `zenostat.training.read_training` reads them.
 

@@ -147,10 +147,7 @@ def recipe(algorithm: str, building: str, season: str) -> dict[str, Any]:
 
 def _fields(algorithm: str, building: str, season: str) -> dict[str, Any]:
     fields = _TRAININGS[algorithm]
-    for other in (
-        _BY_SEASON.get(algorithm, {}).get(season, {}),
-        _BY_BUILDING.get(algorithm, {}).get(building, {}),
-    ):
+    for other in (_BY_SEASON.get(algorithm, {}).get(season, {}), _BY_BUILDING.get(algorithm, {}).get(building, {})):
         fields = _merged(fields, other)
     return fields
 

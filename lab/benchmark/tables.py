@@ -54,11 +54,7 @@ def tables(results: Results) -> list[Table]:
         others = {episode_of(row).key[1:5] for row in results.rows.values()}
         title += f"; {len(others) - count} more lack rows, such as {absent[0]}"
     return [
-        Table(
-            title,
-            ("controller", "rows", "score", "of all costs saved (%)", "score, linear reward"),
-            head,
-        ),
+        Table(title, ("controller", "rows", "score", "of all costs saved (%)", "score, linear reward"), head),
         _by_building(scores),
         _means(results, scores),
         _times(results, scores),

@@ -391,11 +391,7 @@ def _to_hours(
 
 
 def _between(
-    path: Path,
-    config: Calibration,
-    lines: Sequence[int],
-    stamps: Sequence[datetime],
-    columns: Sequence[MeasuredColumn],
+    path: Path, config: Calibration, lines: Sequence[int], stamps: Sequence[datetime], columns: Sequence[MeasuredColumn]
 ) -> tuple[list[int], list[MeasuredColumn]]:
     """Return rows that last to the next stamp, or since the one before: the last or first stamp is none of its own.
 

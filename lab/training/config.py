@@ -10,16 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from zenostat.agent_sdk.envs.arguments import of_scenario
-from zenostat.lab.config_file import (
-    FIELDS,
-    FIELDS_OR_FALSE,
-    ConfigPart,
-    Count,
-    No,
-    Number,
-    Seed,
-    read_file,
-)
+from zenostat.lab.config_file import FIELDS, FIELDS_OR_FALSE, ConfigPart, Count, No, Number, Seed, read_file
 from zenostat.topics.codec import validated
 from zenostat.topics.keys import safe_name
 from zenostat.topics.seed_validation import MAX_SEED

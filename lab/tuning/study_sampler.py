@@ -38,10 +38,7 @@ class TrialSeededSampler(BaseSampler):
     """
 
     def __init__(
-        self,
-        make: Callable[[int], BaseSampler],
-        seed: int,
-        jointly: dict[str, BaseDistribution] | None = None,
+        self, make: Callable[[int], BaseSampler], seed: int, jointly: dict[str, BaseDistribution] | None = None
     ) -> None:
         self._make, self._seed, self._jointly = make, seed, jointly
         self._sampler = make(seed)

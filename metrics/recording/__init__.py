@@ -13,13 +13,4 @@ from zenostat.metrics.recording.log import LogEntry
 from zenostat.metrics.recording.mcap_export import write_mcap
 from zenostat.metrics.trajectory import Trajectory
 
-__all__ = [
-    "LogEntry",
-    "Recording",
-    "Trajectory",
-    "load",
-    "load_log",
-    "write_csv",
-    "write_mcap",
-    "write_parquet",
-]
+__all__ = ["LogEntry", "Recording", "Trajectory", "load", "load_log", "write_csv", "write_mcap", "write_parquet"]

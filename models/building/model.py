@@ -13,13 +13,7 @@ from typing import Any
 
 from zenostat.models import energyplus
 from zenostat.models.building import idf, openstudio, output_objects, templates
-from zenostat.models.building.diagnostics import (
-    Severity,
-    cached_diagnostics,
-    describe,
-    diagnose_unexpanded,
-    verdict,
-)
+from zenostat.models.building.diagnostics import Severity, cached_diagnostics, describe, diagnose_unexpanded, verdict
 from zenostat.models.building.edits import Edits, apply_edits
 from zenostat.models.building.external_files import with_absolute_paths
 from zenostat.models.building.run_needs import changed_timesteps, simulation_control

@@ -55,10 +55,7 @@ _TOLERATED = frozenset((("Sizing:Plant", "plant_or_condenser_loop_name"),))
 _IGNORED = ("Output", "UtilityCost:", "LifeCycleCost:", "ComponentCost:")
 """Types that do not act on the simulation, whose references do not matter."""
 
-_ZONE_OR_SPACE = (
-    frozenset(("SpaceNames", "ZoneNames")),
-    frozenset(("SpaceAndSpaceListNames", "ZoneAndZoneListNames")),
-)
+_ZONE_OR_SPACE = (frozenset(("SpaceNames", "ZoneNames")), frozenset(("SpaceAndSpaceListNames", "ZoneAndZoneListNames")))
 """Object lists of fields that EnergyPlus reads after it has created spaces of its own."""
 
 _NOUNS = {

@@ -7,11 +7,7 @@ from typing import Any
 
 from zenostat.models.input_format.source_model import ModelObjects
 
-_SIZING_FIELDS = (
-    "do_zone_sizing_calculation",
-    "do_system_sizing_calculation",
-    "do_plant_sizing_calculation",
-)
+_SIZING_FIELDS = ("do_zone_sizing_calculation", "do_system_sizing_calculation", "do_plant_sizing_calculation")
 
 _FINITE_DIFFERENCE = "conductionfinitedifference"
 _FINITE_DIFFERENCE_STEPS = 20

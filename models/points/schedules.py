@@ -222,10 +222,7 @@ def with_baseline_sensors(
     errors.raise_if_any()
     added = len(sensors) - len(points.sensors)
     return replace(
-        points,
-        sensors=tuple(sensors),
-        system=(*points.system, *[False] * added),
-        actuators=tuple(actuators.values()),
+        points, sensors=tuple(sensors), system=(*points.system, *[False] * added), actuators=tuple(actuators.values())
     )
 
 

@@ -96,11 +96,7 @@ class Points:
 
 
 def select_points(
-    building: Building,
-    available: PointCatalog,
-    sensors: Spec | None,
-    meters: MeterSpec | None,
-    actuators: Spec | None,
+    building: Building, available: PointCatalog, sensors: Spec | None, meters: MeterSpec | None, actuators: Spec | None
 ) -> Points:
     """Return the requested points; None selects the default points of that kind.
 

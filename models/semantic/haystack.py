@@ -15,12 +15,7 @@ from zenostat.models.semantic.brick_classes import SUPERCLASSES
 from zenostat.models.semantic.equipment import Key, Relation, Structure, read_structure
 from zenostat.models.semantic.points import Points, SemanticPoint, bus_key, meter_resource, point_kind, semantic_points
 from zenostat.models.semantic.triples import encoded_name
-from zenostat.topics.device_addresses import (
-    ObjectKind,
-    bacnet_objects,
-    holding_register,
-    input_register,
-)
+from zenostat.topics.device_addresses import ObjectKind, bacnet_objects, holding_register, input_register
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.messages import Actuator, Meter
 

@@ -47,11 +47,7 @@ def _replace_terminal(model: UpgradingModel, name: str, fields: dict[str, Any]) 
     sizing = fields.pop(_SIZING, "")
     terminal = {"air_inlet_node_name": f"{node}{_INLET}", "air_outlet_node_name": node, **fields}
     new = model.add(_NEW, name, terminal, source=(_OLD, name))
-    unit = {
-        "air_distribution_unit_outlet_node_name": node,
-        "air_terminal_object_type": _NEW,
-        "air_terminal_name": new,
-    }
+    unit = {"air_distribution_unit_outlet_node_name": node, "air_terminal_object_type": _NEW, "air_terminal_name": new}
     added = model.add(_UNIT, f"{name} ADU", unit | ({_SIZING: sizing} if sizing else {}), source=(_OLD, name))
     model.remove(_OLD, name, f"is now an {_NEW} with an {_UNIT}")
     return added

@@ -179,11 +179,7 @@ class CoSimulation(Instance):
 
     def _initialize(self, inputs: Sequence[Variable]) -> None:
         fmu, experiment = self._fmu, self._experiment
-        times = {
-            "tolerance": experiment.tolerance,
-            "startTime": experiment.start_s,
-            "stopTime": experiment.stop_s,
-        }
+        times = {"tolerance": experiment.tolerance, "startTime": experiment.start_s, "stopTime": experiment.stop_s}
         if self._is_fmi2:
             fmu.setupExperiment(**times)
         starts = self._set_starts("instantiated", dict(experiment.starts))

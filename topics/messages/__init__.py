@@ -48,21 +48,9 @@ from zenostat.topics.messages.enums import (
     State,
     TimeField,
 )
-from zenostat.topics.messages.events import (
-    REJECTIONS,
-    Event,
-    EventKind,
-)
-from zenostat.topics.messages.geometry import (
-    Geometry,
-    SurfaceKind,
-    ZoneGeometry,
-)
-from zenostat.topics.messages.history import (
-    MAX_HISTORY_POINTS,
-    HistoryQuery,
-    HistorySeries,
-)
+from zenostat.topics.messages.events import REJECTIONS, Event, EventKind
+from zenostat.topics.messages.geometry import Geometry, SurfaceKind, ZoneGeometry
+from zenostat.topics.messages.history import MAX_HISTORY_POINTS, HistoryQuery, HistorySeries
 from zenostat.topics.messages.manifest import (
     Action,
     Actuator,
@@ -74,13 +62,7 @@ from zenostat.topics.messages.manifest import (
     TerminationLimit,
     Versions,
 )
-from zenostat.topics.messages.recording import (
-    OnFull,
-    RecordingState,
-    RecordingStatus,
-    StartRecording,
-    StopRecording,
-)
+from zenostat.topics.messages.recording import OnFull, RecordingState, RecordingStatus, StartRecording, StopRecording
 from zenostat.topics.messages.requests import (
     Ack,
     BranchCreated,
@@ -109,13 +91,7 @@ from zenostat.topics.messages.requests import (
     WeatherQuery,
     WeatherSeries,
 )
-from zenostat.topics.messages.status import (
-    ControllerStatus,
-    ForkStatus,
-    LatencySummary,
-    Statistics,
-    Status,
-)
+from zenostat.topics.messages.status import ControllerStatus, ForkStatus, LatencySummary, Statistics, Status
 from zenostat.topics.messages.systems import (
     DistrictMember,
     ElectricGrid,
@@ -128,14 +104,7 @@ from zenostat.topics.messages.systems import (
     SystemNode,
     Systems,
 )
-from zenostat.topics.messages.timestep import (
-    Batch,
-    Command,
-    PointValue,
-    Sample,
-    StreamedMessage,
-    Write,
-)
+from zenostat.topics.messages.timestep import Batch, Command, PointValue, Sample, StreamedMessage, Write
 
 __all__ = [
     "ANONYMOUS",

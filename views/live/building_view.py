@@ -192,9 +192,7 @@ class BuildingView:
             f"{BUILDING}/sun",
             block,
             rr.Points3D.columns(
-                positions=flat,
-                radii=[0.04 * self._model.radius_m] * len(flat),
-                colors=[list(_SUN)] * len(flat),
+                positions=flat, radii=[0.04 * self._model.radius_m] * len(flat), colors=[list(_SUN)] * len(flat)
             ).partition(counts),
             rows,
         )

@@ -68,11 +68,7 @@ class EpisodeView:
     """
 
     def __init__(
-        self,
-        recording: rr.RecordingStream,
-        node: NodeModel,
-        episode: int,
-        reward: RewardTerms | None,
+        self, recording: rr.RecordingStream, node: NodeModel, episode: int, reward: RewardTerms | None
     ) -> None:
         self._node, self._reward = node, reward
         manifest, roles, comfort = node.manifest, node.roles, node.comfort

@@ -61,13 +61,7 @@ class RowPicture:
     """
 
     def __init__(
-        self,
-        log: EpisodeLog,
-        path: str,
-        names: Sequence[str],
-        columns: Columns,
-        manifest: Manifest,
-        aspect: float,
+        self, log: EpisodeLog, path: str, names: Sequence[str], columns: Columns, manifest: Manifest, aspect: float
     ) -> None:
         self._log, self._path, self._names, self._columns = log, path, list(names), columns
         self._steps, self._step_s = manifest.steps, manifest.step_s

@@ -138,10 +138,7 @@ def band_rows(block: SampleBlock) -> Floats:
     """
     low, high = block.low.min(axis=1), block.high.max(axis=1)
     is_occupied = block.is_occupied.any(axis=1)
-    return np.stack(
-        [np.where(is_occupied, low, np.nan), np.where(is_occupied, high, np.nan), low, high],
-        axis=1,
-    )
+    return np.stack([np.where(is_occupied, low, np.nan), np.where(is_occupied, high, np.nan), low, high], axis=1)
 
 
 def all_series(manifest: Manifest, roles: PointRoles, *, has_comfort: bool) -> list[Series]:

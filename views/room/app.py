@@ -54,14 +54,7 @@ from zenostat.views.room.numbers import to_json
 from zenostat.views.room.operations import read_operation
 from zenostat.views.room.priorities import priority_arrays
 from zenostat.views.room.requests import RoomRequest, read_body
-from zenostat.views.room.series import (
-    MAX_SAMPLES,
-    HistoryCache,
-    band_content,
-    band_points,
-    band_zones,
-    history_content,
-)
+from zenostat.views.room.series import MAX_SAMPLES, HistoryCache, band_content, band_points, band_zones, history_content
 from zenostat.views.room.started_nodes import TOPIC as STARTED
 from zenostat.views.room.started_nodes import StartedNodes
 from zenostat.views.room.training_pages import TrainingPages

@@ -78,11 +78,7 @@ class Builder:
     """
 
     def __init__(
-        self,
-        folder: Path | None,
-        nodes: StartedNodes,
-        audit: AuditLog,
-        is_online: Callable[[str], bool],
+        self, folder: Path | None, nodes: StartedNodes, audit: AuditLog, is_online: Callable[[str], bool]
     ) -> None:
         self._folder, self._nodes, self._audit, self._is_online = folder, nodes, audit, is_online
         self._program, self._writing = ScenarioProgram(folder), threading.Lock()

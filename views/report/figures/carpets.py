@@ -91,11 +91,7 @@ def tint(deviation: Floats) -> Floats:
 
 
 def _carpets(
-    name: str,
-    panels: Sequence[tuple[Curve, Times, Floats]],
-    colors: Any,
-    limits: tuple[float, float],
-    unit: str,
+    name: str, panels: Sequence[tuple[Curve, Times, Floats]], colors: Any, limits: tuple[float, float], unit: str
 ) -> Any:
     rows = -(-len(panels) // _COLUMNS)
     columns = min(len(panels), _COLUMNS)
