@@ -14,13 +14,7 @@ from math import nan
 from typing import Any
 
 from zenostat.bridge.node.node import Node
-from zenostat.bridge.node.plant import (
-    Plant,
-    PlantContext,
-    PlantDefaults,
-    PlantDescription,
-    RunPeriod,
-)
+from zenostat.bridge.node.plant import Plant, PlantContext, PlantDefaults, PlantDescription, RunPeriod
 from zenostat.bridge.node.program import main
 from zenostat.bridge.node.settings import NodeSettings
 from zenostat.topics import VERSION

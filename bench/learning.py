@@ -20,13 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from zenostat.lab.benchmark.definition import (
-    ARGUMENTS,
-    BUILDINGS,
-    HELD_OUT_WEATHERS,
-    SEASONS,
-    TRAINING_WEATHERS,
-)
+from zenostat.lab.benchmark.definition import ARGUMENTS, BUILDINGS, HELD_OUT_WEATHERS, SEASONS, TRAINING_WEATHERS
 from zenostat.lab.evaluate import evaluate
 
 FORMS: dict[str, dict[str, Any]] = {"absolute": {}, "relative": {"relative": 3.0}}

@@ -179,11 +179,7 @@ def measure_memory(minutes: float, report: Callable[..., object] = lambda **_: N
     Growth is the slope of a line through the second half of the samples: caches and histories fill in the first one.
     """
     samples: list[dict[str, float]] = []
-    with (
-        _node(_paced()) as node,
-        _room(node.endpoint) as (process, link),
-        _pages(link, 1) as (page,),
-    ):
+    with _node(_paced()) as node, _room(node.endpoint) as (process, link), _pages(link, 1) as (page,):
         _show_node(page, link)
         tools = page.context.new_cdp_session(page)
         begin = time.monotonic()

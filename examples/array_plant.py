@@ -15,12 +15,7 @@ from datetime import datetime
 import numpy as np
 
 from zenostat.bridge.node.node import Node
-from zenostat.bridge.node.plant import (
-    PlantContext,
-    PlantDefaults,
-    PlantDescription,
-    RunPeriod,
-)
+from zenostat.bridge.node.plant import PlantContext, PlantDefaults, PlantDescription, RunPeriod
 from zenostat.bridge.node.settings import NodeSettings
 from zenostat.topics import VERSION
 from zenostat.topics.messages import Action, Actuator, EngineStart, EpisodeStart, Meter, Sensor, Task, Versions

@@ -30,8 +30,7 @@ def district(**changes: Any) -> Manifest:
     battery = Actuator(name="g.b_setpoint", unit="W", low=-6000.0, high=6000.0, default=0.0)
     charger = Actuator(name="g.c_limit", unit="W", low=0.0, high=10000.0, default=10000.0)
     base = manifest(
-        sensors=[Sensor(name=name, unit=unit) for name, unit in POINTS.items()],
-        task=Task(reward={**REWARD, **changes}),
+        sensors=[Sensor(name=name, unit=unit) for name, unit in POINTS.items()], task=Task(reward={**REWARD, **changes})
     )
     return base.model_copy(update={"actuators": (cooling, battery, charger)})
 

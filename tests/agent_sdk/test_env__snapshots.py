@@ -9,20 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from support import data_packs as packs
-from support.engine_forks import (
-    DAY,
-    FOUR,
-    KINDS,
-    SMALL,
-    episode,
-    go,
-    kill,
-    make,
-    new_engine,
-    plan,
-    row,
-    same,
-)
+from support.engine_forks import DAY, FOUR, KINDS, SMALL, episode, go, kill, make, new_engine, plan, row, same
 from support.nodes import SMALL as SMALL_NODE
 from support.nodes import NodeProgram, until, within
 

@@ -71,9 +71,7 @@ def received(client: zenoh.Session, key: str) -> Iterator[list[tuple[str, int, f
         subscriber.undeclare()
 
 
-def test_points__nothing_is_declared_or_sent_without_subscribers(
-    sessions: tuple[zenoh.Session, zenoh.Session],
-) -> None:
+def test_points__nothing_is_declared_or_sent_without_subscribers(sessions: tuple[zenoh.Session, zenoh.Session]) -> None:
     node = Node(sessions[0])
     for _ in range(3):
         node.publish()

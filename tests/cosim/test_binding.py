@@ -130,17 +130,9 @@ def test_timestep__longest_of_the_plants_by_default(folder: Path) -> None:
     ("head", "steps", "expected"),
     [
         ("timestep: 10min\n", (900.0, 900.0), "FILE:1: the timestep 10 min is no multiple of the 15 min of plant 'a'"),
-        (
-            "",
-            (600.0, 900.0),
-            "FILE:2: the 10 min of plant 'a' do not divide the 15 min of 'b'; set `timestep: 1800`",
-        ),
+        ("", (600.0, 900.0), "FILE:2: the 10 min of plant 'a' do not divide the 15 min of 'b'; set `timestep: 1800`"),
         ("duration: 40min\n", (900.0, 900.0), "FILE:1: the duration 2400 s is no multiple of the timestep 900 s"),
-        (
-            "duration: 2d\n",
-            (900.0, 900.0),
-            "FILE:1: the duration is 48 h, but an episode of plant 'a' ends after 24 h",
-        ),
+        ("duration: 2d\n", (900.0, 900.0), "FILE:1: the duration is 48 h, but an episode of plant 'a' ends after 24 h"),
         ("start: 13-01\n", (900.0, 900.0), "FILE:1: "),
     ],
 )

@@ -52,9 +52,7 @@ def dates(**settings: str) -> dict[str, Any]:
     return LATE | settings
 
 
-CASES = {
-    "small office": (SMALL, LATE),
-}
+CASES = {"small office": (SMALL, LATE)}
 SLOW_CASES = {
     "five zones, a fifth of an hour": (KINDS["five zones"], LATE | {"steps_per_hour": 12, "end": "07-05"}),
     "over New Year": (SMALL, dates(begin="2017-12-28", end="2018-01-02")),

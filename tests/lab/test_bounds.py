@@ -19,14 +19,7 @@ from typer.testing import CliRunner
 from zenostat.cli.commands import app
 from zenostat.lab.benchmark import SETS, Results, Row, Task, bound_search, load_results, run_benchmark
 from zenostat.lab.benchmark.bound_file import Bound, bound_path, definition_of, load_bound, load_bounds, packed
-from zenostat.lab.benchmark.bound_moves import (
-    Actions,
-    SequenceSpace,
-    Windows,
-    changed,
-    changed_plans,
-    combine,
-)
+from zenostat.lab.benchmark.bound_moves import Actions, SequenceSpace, Windows, changed, changed_plans, combine
 from zenostat.lab.benchmark.bound_search import BATCH, Best, Simulated, search
 from zenostat.lab.benchmark.bounds import BoundTask, check_bound, improve_bound, tasks_of
 from zenostat.lab.benchmark.gap import gap_share, gap_table, tables_with_gap

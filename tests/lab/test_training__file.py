@@ -267,10 +267,7 @@ def test_training__algorithm_that_cannot_have_the_actions_states_what_can(tmp_pa
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        (
-            {"wrappers": [{"wrapper": "RewardVector", "terms": ["energy", "comfort"]}]},
-            "reward; remove RewardVector",
-        ),
+        ({"wrappers": [{"wrapper": "RewardVector", "terms": ["energy", "comfort"]}]}, "reward; remove RewardVector"),
         ({"wrappers": [{"wrapper": "NumericInfos"}], "evaluation": {}}, "NumericInfos leaves out .*evaluations need"),
         ({"output": "/proc/here"}, "output: cannot create the folder '/proc/here'"),
         ({"output": "a\0b"}, "output: cannot create the folder"),

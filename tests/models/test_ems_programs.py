@@ -15,10 +15,7 @@ CASES: dict[str, tuple[list[str], str | None]] = {
     "lower case": (["set a = 1", "if a > 0", "set a = 2", "endif"], None),
     "return a value": (["RETURN 2"], None),
     "function with and without parentheses": (["SET a = @Abs(0-1) + (@Max 2 3)"], None),
-    "elseif after else": (
-        ["IF 1 > 0", "SET a = 1", "ELSE", "SET a = 2", "ELSEIF 2 > 1", "SET a = 3", "ENDIF"],
-        None,
-    ),
+    "elseif after else": (["IF 1 > 0", "SET a = 1", "ELSE", "SET a = 2", "ELSEIF 2 > 1", "SET a = 3", "ENDIF"], None),
     "five nested ifs": ([*["IF 1 > 0"] * 5, "SET a = 1", *["ENDIF"] * 5], None),
     "if that ends after the while around it": (
         ["SET a = 0", "WHILE a < 3", "IF a > 1", "SET a = a + 1", "ENDWHILE", "ENDIF"],
@@ -67,10 +64,7 @@ def model_with(lines: list[str]) -> dict[str, dict[str, dict[str, object]]]:
     model = box_model()
     model[EMS + "Program"] = {"P": {"lines": [{"program_line": line} for line in lines]}}
     model[EMS + "ProgramCallingManager"] = {
-        "M": {
-            "energyplus_model_calling_point": "BeginTimestepBeforePredictor",
-            "programs": [{"program_name": "P"}],
-        }
+        "M": {"energyplus_model_calling_point": "BeginTimestepBeforePredictor", "programs": [{"program_name": "P"}]}
     }
     return model
 

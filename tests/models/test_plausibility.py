@@ -335,11 +335,7 @@ OBJECTS_OF_FIELDS = [
     ("AirflowNetwork:MultiZone:Surface", "external_node_name", "AirflowNetwork:MultiZone:ExternalNode"),
     ("AirflowNetwork:IntraZone:Linkage", "node_1_name", "AirflowNetwork:IntraZone:Node"),
     ("ElectricEquipment:ITE:AirCooled", "air_inlet_room_air_model_node_name", "RoomAir:Node"),
-    (
-        "ZoneHVAC:EquipmentConnections",
-        "zone_return_air_node_1_flow_rate_fraction_schedule_name",
-        "Schedule:Constant",
-    ),
+    ("ZoneHVAC:EquipmentConnections", "zone_return_air_node_1_flow_rate_fraction_schedule_name", "Schedule:Constant"),
 ]
 """Fields with names like those of nodes that name an object, and its type."""
 

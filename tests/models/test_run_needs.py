@@ -38,10 +38,7 @@ AUTOSIZED = {"Sizing:Zone": {"z": {}}, "Fan:OnOff": {"f": {"maximum_flow_rate": 
             ["no RunPeriod", "sizing periods only; an episode simulates the weather file"],
         ),
         ({"RunPeriod": {"a": {}}, "SimulationControl": SIZED}, ["sized for the design days of the weather file"]),
-        (
-            {"RunPeriod": {"a": {}}, "SimulationControl": SIZED, "SizingPeriod:WeatherFileDays": {"d": {}}},
-            [],
-        ),
+        ({"RunPeriod": {"a": {}}, "SimulationControl": SIZED, "SizingPeriod:WeatherFileDays": {"d": {}}}, []),
         (
             {"RunPeriod": {"a": {}}, "SizingPeriod:DesignDay": {"d": {}}, **AUTOSIZED},
             ["no SimulationControl; it is sized, since fields of it are Autosize"],

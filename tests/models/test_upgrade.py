@@ -27,10 +27,7 @@ from zenostat.topics.errors import InvalidConfig
 pytestmark = pytest.mark.skipif(not energyplus.version().startswith("25.2"), reason="the steps end at 25.2")
 needs_schemas = pytest.mark.usefixtures("idfkit")
 
-NEW_FIELDS = {
-    "no_load_supply_air_flow_rate_control_set_to_low_speed": "No",
-    "cell_control": "MinimalCell",
-}
+NEW_FIELDS = {"no_load_supply_air_flow_rate_control_set_to_low_speed": "No", "cell_control": "MinimalCell"}
 """Values that an upgrade writes where the bundled models leave the field empty."""
 
 LIST_NAME = "zone_or_zonelist_or_space_or_spacelist_name"
@@ -493,8 +490,7 @@ def plain(default: Any) -> Any:
 
 @needs_schemas
 @pytest.mark.parametrize(
-    "step",
-    [pytest.param(s, id=s.before, marks=[] if s.before in ("9.1", "23.1") else pytest.mark.slow) for s in STEPS],
+    "step", [pytest.param(s, id=s.before, marks=[] if s.before in ("9.1", "23.1") else pytest.mark.slow) for s in STEPS]
 )
 def test_version_step__covers_what_the_schemas_removed_and_changed(step: Any) -> None:
     """Each removed field and each changed default of the older schema is moved, dropped, kept or refused; no other."""

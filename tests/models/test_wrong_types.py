@@ -63,8 +63,7 @@ def test_diagnose__error_of_a_surface_leaves_its_zone_with_surfaces() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "fields"),
-    [(f"{EMS}Program", {"lines": ["SET a = 1"]}), ("ZoneHVAC:EquipmentList", {"equipment": [None]})],
+    ("kind", "fields"), [(f"{EMS}Program", {"lines": ["SET a = 1"]}), ("ZoneHVAC:EquipmentList", {"equipment": [None]})]
 )
 def test_upgrade__entries_that_are_no_objects_are_refused(kind: str, fields: dict[str, Any]) -> None:
     objects = {**box_model(), "Version": {"v": {"version_identifier": "9.0"}}, kind: {"x": fields}}

@@ -65,10 +65,7 @@ def test_grid__only_devices_are_actions_of_an_agent(env: BuildingEnv) -> None:
 
 def test_grid__power_flow_that_does_not_converge_is_an_event(env: BuildingEnv) -> None:
     env.reset()
-    with (
-        zenostat.connect(env.local_node.endpoint, affinity="off") as bus,
-        events_of(bus, env.manifest.node) as events,
-    ):
+    with zenostat.connect(env.local_node.endpoint, affinity="off") as bus, events_of(bus, env.manifest.node) as events:
         go(env, 4)
         event = next_event(events, EventKind.WARNING)
     assert event.step == 3

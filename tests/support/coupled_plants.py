@@ -162,10 +162,7 @@ def district_file(folder: Path, text: str) -> DistrictFile:
 
 
 def orchestrated(
-    file: DistrictFile,
-    plants: Mapping[str, FakeCoupled],
-    on_lost: OnLost = OnLost.STOP,
-    **guard: Any,
+    file: DistrictFile, plants: Mapping[str, FakeCoupled], on_lost: OnLost = OnLost.STOP, **guard: Any
 ) -> tuple[Orchestrator, Binding, dict[str, GuardedPlant]]:
     """An orchestrator of fake plants at sample 0."""
     binding = bind(file, check_file(file), {name: plant.manifest for name, plant in plants.items()})

@@ -600,11 +600,7 @@ def test_district__plant_on_a_bus_that_another_one_replaces(scratch: Path) -> No
             InvalidConfig,
             r"district.yaml:7: loop 'boiler-house' cannot be solved by trials: plant 'boiler': .*cannot be copied",
         ),
-        (
-            PAIR.replace("py:Boiler", "py:Boyler"),
-            InvalidConfig,
-            r"district.yaml:3: plant 'boiler': .*Boyler",
-        ),
+        (PAIR.replace("py:Boiler", "py:Boyler"), InvalidConfig, r"district.yaml:3: plant 'boiler': .*Boyler"),
     ],
 )
 def test_district__errors_of_plants_have_their_line_and_leave_nothing(

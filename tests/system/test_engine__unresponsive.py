@@ -96,10 +96,7 @@ def test_engine__one_that_waits_for_the_next_episode_is_replaced_with_a_warning(
         own = env.unwrapped.local_node
         until(lambda: len(engines_of(own.pid)) == 2, "another engine waits")
         engines_of(own.pid)[place].suspend()
-        with (
-            zenostat.connect(own.endpoint, affinity="off") as bus,
-            events_of(bus, "building") as events,
-        ):
+        with zenostat.connect(own.endpoint, affinity="off") as bus, events_of(bus, "building") as events:
             assert env.reset()[1]["engine_start"] == engine_start
             assert env.step(env.action_space.low)[-1]["step"] == 1
             assert "replaced: the engine process neither answered" in next_event(events, EventKind.WARNING).text

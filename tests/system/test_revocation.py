@@ -88,11 +88,7 @@ def test_revoke__ends_claims_values_and_links_of_a_name_and_nothing_of_others(
     node: NodeProgram, pki: Path, operator: Bus, act: Callable[[Bus, Path, str], None], name: str
 ) -> None:
     others = connect(node, pki, "cleo")
-    with (
-        others,
-        connect(node, pki, name) as own,
-        events_of(operator, "room") as events,
-    ):
+    with others, connect(node, pki, name) as own, events_of(operator, "room") as events:
         actuator, *rest = [actuator.name for actuator in operator.manifest("room").actuators]
         link = own.controller("room", name="agent", priority=9)
         kept = others.controller("room", name="agent", priority=11)

@@ -215,10 +215,7 @@ def test_silent_program__has_an_error_of_its_own(family: int, tmp_path: Path) ->
 
 @pytest.mark.parametrize(
     ("failure", "text"),
-    [
-        (OSError(errno.EHOSTUNREACH, "No route to host"), "No route to host"),
-        (TimeoutError("timed out"), "timed out"),
-    ],
+    [(OSError(errno.EHOSTUNREACH, "No route to host"), "No route to host"), (TimeoutError("timed out"), "timed out")],
 )
 def test_errors__address_that_cannot_be_reached_is_not_one_where_nobody_listens(
     failure: OSError, text: str, monkeypatch: pytest.MonkeyPatch

@@ -112,14 +112,7 @@ class OneNodeBus:
             raise PlantFailed("the chiller froze")
 
     def write(
-        self,
-        _: str,
-        name: str,
-        value: float | None,
-        *,
-        priority: int,
-        duration_s: float | None = None,
-        source: str,
+        self, _: str, name: str, value: float | None, *, priority: int, duration_s: float | None = None, source: str
     ) -> Any:
         self.written.append((name, value, priority, duration_s, source))
         array = [*self.priorities("")[name]]

@@ -13,10 +13,7 @@ from support.trajectories import office, office_comparison, run
 from zenostat.views.report import Comparison, write_report
 
 pytest.importorskip("matplotlib")
-pytestmark = [
-    NEEDS_CHROMIUM,
-    pytest.mark.process,
-]
+pytestmark = [NEEDS_CHROMIUM, pytest.mark.process]
 
 HOSTILE = "<script>document.title = 'taken'</script><img src=x onerror=\"document.title = 'taken'\">"
 

@@ -16,11 +16,7 @@ pytest.importorskip("axe_playwright_python", reason="pip install axe-playwright-
 
 from zenostat.views.room.app import RoomSettings
 
-pytestmark = [
-    NEEDS_CHROMIUM,
-    pytest.mark.process,
-    pytest.mark.slow,
-]
+pytestmark = [NEEDS_CHROMIUM, pytest.mark.process, pytest.mark.slow]
 
 ALARMS = "alarms: [{name: warm, points: [core_zn_air_temperature], high: 10.0, unit: degC, priority: high}]\n"
 DISTRICT = Path(__file__).parents[2] / "cosim" / "demo" / "district.yaml"

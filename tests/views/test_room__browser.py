@@ -19,10 +19,7 @@ import zenostat
 
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
-pytestmark = [
-    NEEDS_CHROMIUM,
-    pytest.mark.process,
-]
+pytestmark = [NEEDS_CHROMIUM, pytest.mark.process]
 
 HOSTILE = "<img src=x onerror=\"document.title='taken'\">"
 API_TOKEN = "a-token-of-programs-of-the-tests-1"

@@ -18,11 +18,7 @@ pytest.importorskip("uvicorn")
 
 from zenostat.views.room.app import RoomSettings
 
-pytestmark = [
-    NEEDS_CHROMIUM,
-    pytest.mark.process,
-    pytest.mark.slow,
-]
+pytestmark = [NEEDS_CHROMIUM, pytest.mark.process, pytest.mark.slow]
 
 TANK = '''
 class Tank:

@@ -142,7 +142,7 @@ def test_schematic__values_of_nodes_and_components_stand_at_their_component() ->
             sensor("c", "Heating Coil Heating Rate", key="COIL", unit="W"),
             sensor("d", "Fan Electricity Rate", key="FAN", unit="W"),
             sensor("room_air_temperature", key="ROOM"),
-        ],
+        ]
     )
     content = describe(of, None, building).content["systems"]
     coil, unit, fan = content["components"]
