@@ -3,28 +3,30 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, date, datetime, timedelta
+from datetime import date, datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
 from typing import Protocol
-from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
 
 from zenostat.lab.calibration.config import Calibration, Column
 from zenostat.lab.calibration.headings import Heading, read_headings, read_rows
+from zenostat.lab.calibration.timestamps import (
+    BILL,
+    DAY,
+    HOUR,
+    read_timestamps,
+    row_interval,
+    row_intervals,
+    saving_hint,
+)
 from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.units import conversion, quantity, units_of
 
-_HOUR = timedelta(hours=1)
-_DAY = timedelta(days=1)
-_INTERVALS = {"1h": _HOUR, "1d": _DAY} | {f"{n}min": timedelta(minutes=n) for n in (5, 10, 15, 20, 30)}
-_LONG = timedelta(days=27)
-"""Rows of this length are those of bills, which are compared by the monthly criteria."""
 _GAP = 1.6
 """A row that is longer by this factor than most, without `interval: between`, is taken for one that lacks another."""
 _MAX_TEMPERATURE_C, _MIN_TEMPERATURE_C = 60.0, -60.0
@@ -140,164 +142,23 @@ def read_measured(
     time, _ = read_headings(path, config)
     rows = read_rows(path, config.delimiter)
     header = [cell.strip() for cell in rows[0][1]]
-    lines, stamps = _stamps(path, config, rows[1:], header.index(time), utc_offset_h)
-    interval = _interval(config, stamps)
-    begins, ends = _intervals(path, config, lines, stamps, interval)
+    lines, stamps = read_timestamps(path, config, rows[1:], header.index(time), utc_offset_h)
+    interval = row_interval(config, stamps)
+    begins, ends = row_intervals(path, config, lines, stamps, interval)
     columns = []
     for heading, target in zip(headings, targets, strict=True):
         values = _values(path, rows[1:], header.index(heading.header), heading)
         columns.append(_column(path, heading, target, values, lines))
     if interval is None:
         lines, columns = _between(path, config, lines, stamps, columns)
-    if interval is not None and interval < _HOUR:
+    if interval is not None and interval < HOUR:
         lines, begins, ends, columns = _to_hours(lines, begins, columns, interval)
-    is_monthly = bool(begins) and float(np.median([(e - b) / _LONG for b, e in zip(begins, ends, strict=True)])) >= 1.0
+    is_monthly = bool(begins) and float(np.median([(e - b) / BILL for b, e in zip(begins, ends, strict=True)])) >= 1.0
     data = MeasuredData(tuple(columns), tuple(begins), tuple(ends), tuple(lines), is_monthly)
     for name, periods in (("periods", config.periods), ("held_out", config.held_out)):
         for number, days in enumerate(periods):
             _check_period(path, data, config, days, f"{name}[{number}]", is_hourly=interval is not None)
     return data
-
-
-def _stamps(
-    path: Path, config: Calibration, rows: Sequence[tuple[int, list[str]]], place: int, utc_offset_h: float
-) -> tuple[list[int], list[datetime]]:
-    """Return lines and timestamps in local standard time, in their order."""
-    zone = _zone(config.time_zone)
-    lines: list[int] = []
-    stamps: list[datetime] = []
-    for line, row in rows:
-        text = row[place].strip() if place < len(row) else ""
-        where = f"{path}, line {line}"
-        try:
-            stamp = datetime.strptime(text, config.time_format) if config.time_format else datetime.fromisoformat(text)
-            if not _YEARS.start <= stamp.year < _YEARS.stop:
-                raise ValueError
-        except ValueError:
-            wanted = config.time_format or "ISO 8601, as 2017-01-09 13:00, or time_format in the parameters file"
-            raise InvalidConfig(f"{where}: {text!r} is no timestamp; expected {wanted}") from None
-        standard = _standard(where, stamp, zone, utc_offset_h, stamps[-1] if stamps else None)
-        if stamps and standard <= stamps[-1]:
-            raise InvalidConfig(f"{where}: {_order_error(text, standard, stamps, lines, config)}")
-        lines.append(line)
-        stamps.append(standard)
-    if len(stamps) < 2:
-        raise InvalidConfig(f"{path}: {len(stamps)} rows with data; a calibration needs more")
-    return lines, stamps
-
-
-_YEARS = range(1583, 9999)
-"""Years of a timestamp: with the calendar of the simulation, and with a day before and after each."""
-
-
-def _zone(name: str | None) -> ZoneInfo | None:
-    if name is None:
-        return None
-    try:
-        if name == "localtime":  # that of the machine
-            raise ValueError
-        return ZoneInfo(name)
-    except (ZoneInfoNotFoundError, ValueError, OSError):  # a folder of the database is no file
-        raise InvalidConfig(f"time_zone: {name!r} is no IANA time zone, such as America/Denver") from None
-
-
-def _standard(
-    where: str, stamp: datetime, zone: ZoneInfo | None, utc_offset_h: float, before: datetime | None
-) -> datetime:
-    """Return a timestamp in the standard time of the weather file; `before`: that of the row before."""
-    if stamp.tzinfo is not None:
-        return (stamp.astimezone(UTC) + timedelta(hours=utc_offset_h)).replace(tzinfo=None)
-    if zone is None:
-        return stamp
-    local = stamp.replace(tzinfo=zone)
-    back = local.astimezone(UTC).astimezone(zone).replace(tzinfo=None)
-    if back != stamp:
-        raise InvalidConfig(
-            f"{where}: {stamp} does not exist in {zone.key}, whose clock jumps to {back} there; the timestamps are "
-            "not local time with daylight saving: remove time_zone if they are standard time"
-        )
-    standard = _standard_offset_h(zone, stamp.year)
-    if standard != utc_offset_h:
-        raise InvalidConfig(
-            f"time_zone: {zone.key} has the standard time UTC{standard:+g}, the weather file UTC{utc_offset_h:+g}; use "
-            "the zone or the weather file of the building"
-        )
-    first, second = (
-        (local.replace(fold=fold).astimezone(UTC) + timedelta(hours=utc_offset_h)).replace(tzinfo=None)
-        for fold in (0, 1)
-    )
-    # Of the hour that a clock shows twice, the second one follows the first one in the file.
-    return second if before is not None and first <= before else first
-
-
-def _standard_offset_h(zone: ZoneInfo, year: int) -> float:
-    """Return the hours of a zone's standard time against UTC: its clock in that half of the year in which it is behind.
-
-    `dst()` has none for Europe/Dublin, whose database calls the time of the summer the standard.
-    """
-    offsets = (datetime(year, month, 1, tzinfo=zone).utcoffset() or timedelta() for month in (1, 7))
-    return min(offsets) / _HOUR
-
-
-def _order_error(
-    text: str, stamp: datetime, stamps: Sequence[datetime], lines: Sequence[int], config: Calibration
-) -> str:
-    """Return what is wrong with a timestamp that is not after the one before it."""
-    if stamp in stamps:
-        error = f"{text} occurs again, after line {lines[stamps.index(stamp)]}; each time may occur once"
-    else:
-        error = f"{text} is before the time of line {lines[-1]}; sort the rows by time"
-    return error + (_SAVING if _may_be_saving(stamp) and config.time_zone is None else "")
-
-
-_SAVING = (
-    ". If the clock of the data has daylight saving time, set time_zone (as America/Denver), or convert the times to "
-    "standard time"
-)
-
-
-def _may_be_saving(stamp: datetime) -> bool:
-    """Whether clocks change around a time: early on a Sunday in spring or autumn."""
-    return stamp.month in (3, 4, 9, 10, 11) and stamp.weekday() == 6 and stamp.hour <= 4
-
-
-def _interval(config: Calibration, stamps: Sequence[datetime]) -> timedelta | None:
-    """Return the length of rows; None: each lasts to the next stamp, or since the one before."""
-    if config.interval is not None:
-        return _INTERVALS.get(config.interval)
-    common: timedelta = Counter(after - before for before, after in pairwise(stamps)).most_common(1)[0][0]
-    return None if common >= _LONG else common
-
-
-def _intervals(
-    path: Path, config: Calibration, lines: Sequence[int], stamps: Sequence[datetime], interval: timedelta | None
-) -> tuple[list[datetime], list[datetime]]:
-    """Return begins and ends of the rows, which are whole hours, or whole parts of an hour."""
-    apart = min(after - before for before, after in pairwise(stamps))
-    if config.interval is not None and interval is not None and apart > interval:
-        raise InvalidConfig(
-            f"{path}: interval is {config.interval}, but the timestamps are {apart} apart or more; leave it out, or "
-            "set it to that"
-        )
-    grid = min(interval or _HOUR, _DAY)
-    if _HOUR % grid and grid % _HOUR:
-        minutes = grid / timedelta(minutes=1)
-        raise InvalidConfig(
-            f"{path}, lines {lines[0]} and {lines[1]}: the timestamps are {minutes:g} min apart; expected a part of an "
-            "hour, as 15 min, or whole hours"
-        )
-    for line, stamp in zip(lines, stamps, strict=True):
-        since = stamp - datetime(stamp.year, stamp.month, stamp.day)
-        if since % grid:
-            raise InvalidConfig(
-                f"{path}, line {line}: {stamp} is no multiple of {grid / timedelta(minutes=1):g} min after midnight; "
-                "resample the data to whole intervals"
-            )
-    if interval is None:
-        return list(stamps[:-1]), list(stamps[1:])
-    if config.timestamps == "end":
-        return [stamp - interval for stamp in stamps], list(stamps)
-    return list(stamps), [stamp + interval for stamp in stamps]
 
 
 def _values(path: Path, rows: Sequence[tuple[int, list[str]]], place: int, heading: Heading) -> Floats:
@@ -378,7 +239,7 @@ def _to_hours(
     lines: Sequence[int], begins: Sequence[datetime], columns: Sequence[MeasuredColumn], interval: timedelta
 ) -> tuple[list[int], list[datetime], list[datetime], list[MeasuredColumn]]:  # fmt: skip
     """Return rows of whole hours: sums of energies, means of all else; an hour that lacks a row is left out."""
-    parts = round(_HOUR / interval)
+    parts = round(HOUR / interval)
     hours: dict[datetime, list[int]] = {}
     for row, begin in enumerate(begins):
         hours.setdefault(begin.replace(minute=0), []).append(row)
@@ -387,7 +248,7 @@ def _to_hours(
     for column in columns:
         table = column.values[np.array(list(whole.values()), dtype=int).reshape(-1, parts)]
         joined.append(replace(column, values=table.sum(axis=1) if column.is_total else table.mean(axis=1)))
-    return [lines[rows[0]] for rows in whole.values()], list(whole), [begin + _HOUR for begin in whole], joined
+    return [lines[rows[0]] for rows in whole.values()], list(whole), [begin + HOUR for begin in whole], joined
 
 
 def _between(
@@ -414,9 +275,9 @@ def _between(
                 f"{last} {stamp:%Y-%m-%d}, or set missing: leave_out"
             )
     values = [column.values[kept].copy() for column in columns]
-    lengths = np.array([(after - before) / _DAY for before, after in pairwise(stamps)])
+    lengths = np.array([(after - before) / DAY for before, after in pairwise(stamps)])
     usual = float(np.median(lengths))
-    are_bills = usual * _DAY >= _LONG
+    are_bills = usual * DAY >= BILL
     for row in np.flatnonzero(lengths > _GAP * usual).tolist() if config.interval is None or not are_bills else ():
         if config.missing != "leave_out":
             raise InvalidConfig(
@@ -446,9 +307,9 @@ def _check_period(
     times = [begin, *(data.ends[row] for row in rows)]
     starts = [*(data.begins[row] for row in rows), end]
     for number, (last, first) in enumerate(zip(times, starts, strict=True)):
-        if first > last and (is_hourly or first - last >= _DAY):  # bills are read at some hour of a day
+        if first > last and (is_hourly or first - last >= DAY):  # bills are read at some hour of a day
             line = data.lines[rows[number]] if number < len(rows) else data.lines[rows[-1]] + 1
-            saving = _SAVING if _may_be_saving(last) and config.time_zone is None and first - last == _HOUR else ""
+            saving = saving_hint(last, config) if first - last == HOUR else ""
             raise InvalidConfig(
                 f"{path}, before line {line}: no data for {last} to {first}, within {name}; add the rows, choose other "
                 f"days{'' if is_hourly else ' (rows that reach beyond them do not count)'}, or set missing: "
