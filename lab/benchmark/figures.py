@@ -18,9 +18,6 @@ from zenostat.views.report.theme import LIGHT
 _LOWEST = -0.6
 """Scores below are drawn as an arrow with their number, so that one bad controller does not hide the rest."""
 
-_PANELS = 3
-"""Learning curves beside each other."""
-
 
 def write_figures(results: Results, folder: Path) -> list[Path]:
     """Write `scores` and `buildings` as SVG and PNG files, and return the paths of the PNG files.
@@ -43,55 +40,6 @@ def write_figures(results: Results, folder: Path) -> list[Path]:
     }
     folder.mkdir(parents=True, exist_ok=True)
     return [save(draw(name, height, fill), folder, name)[1] for name, (height, fill) in figures.items()]
-
-
-def write_curves(results: Results, folder: Path) -> Path | None:
-    """Write the learning curves as `curves` (SVG and PNG), and return the path of the PNG file.
-
-    Returns:
-        None if the results have no trainings.
-
-    Raises:
-        InvalidConfig: Matplotlib is not installed.
-    """
-    import_extra("matplotlib", "plots", "figures")
-    records = {tuple(name.split("/")): record for name, record in results.trainings.items()}
-    panels = sorted({key[1:3] for key, record in records.items() if record.get("curve")})
-    if not panels:
-        return None
-    rows = math.ceil(len(panels) / _PANELS)
-    folder.mkdir(parents=True, exist_ok=True)
-    return save(
-        draw("curves", 0.3 + 1.5 * rows, lambda figure: _fill_curves(figure, panels, records)), folder, "curves"
-    )[1]
-
-
-def curve_of(record: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the learning curve of a training: its evaluations, or without any the rewards of its training episodes."""
-    return record.get("evaluations") or record.get("curve") or {"steps": [], "rewards": []}
-
-
-def _fill_curves(figure: Any, panels: Sequence[tuple[str, ...]], records: Mapping[tuple[str, ...], Any]) -> None:
-    columns = min(len(panels), _PANELS)
-    axes = figure.subplots(math.ceil(len(panels) / columns), columns, squeeze=False).ravel()
-    algorithms = sorted({key[0] for key, record in records.items() if record.get("curve")})
-    for axis, panel in zip(axes, panels, strict=False):
-        for number, algorithm in enumerate(algorithms, 1):
-            curves = [curve_of(of) for key, of in records.items() if key[:3] == (algorithm, *panel) and of.get("curve")]
-            for index, curve in enumerate(curves):
-                label = algorithm if index == 0 else None
-                color = LIGHT[f"series-{number}"]
-                axis.plot(curve["steps"], curve["rewards"], color=color, linewidth=0.8, label=label)
-                if curve["steps"][:1] == [0]:  # evaluations, in the same episodes
-                    label = "before the first step" if index == 0 else None
-                    axis.plot([0], [curve["rewards"][0]], "o", color=color, markersize=2.5, label=label)
-        axis.set_title(f"{BUILDINGS.get(panel[0], panel[0])}, {panel[1]}")
-        axis.xaxis.set_major_formatter(lambda steps, _: f"{steps / 1000:g}k")
-    for axis in axes[len(panels) :]:
-        axis.set_visible(False)
-    axes[0].legend(fontsize=6)
-    figure.supxlabel("training steps", fontsize=8.0, color=LIGHT["muted"])
-    figure.supylabel("reward of an episode (EUR)", fontsize=8.0, color=LIGHT["muted"])
 
 
 def _fill_scores(figure: Any, names: Sequence[str], scores: Sequence[Scores], linear: Sequence[Scores]) -> None:

@@ -22,7 +22,6 @@ from zenostat.bridge.runtime.processor_time import tree_processor_s
 from zenostat.cli.commands import app
 from zenostat.lab.benchmark import SETS, Episode, Results, Row, load_results, prepared, rerun, run, submission
 from zenostat.lab.benchmark.episodes import jobs
-from zenostat.lab.benchmark.figures import curve_of, write_curves
 from zenostat.lab.benchmark.merge import merge_results
 from zenostat.lab.benchmark.prepared import Preparation, ensure_prepared
 from zenostat.lab.benchmark.recipes import is_residual
@@ -196,7 +195,7 @@ def test_benchmark_files__page_tells_what_the_rows_say(tmp_path: Path, monkeypat
     assert "`sac` has 6 of 30 rows so far and is not in the tables." in text
     assert "| ppo | 1.0 | 1 | 7200.0 | 2.0 |" in text
     assert "There are no published rows of version 2 yet." in text  # of the other sets
-    figure = write_curves(results, tmp_path)
+    figure = benchmark_page.write_curves(results, tmp_path)
     assert figure is not None
     assert figure.is_file()
     benchmark_page.write_curve_table(results, tmp_path / "curves.csv")
@@ -284,8 +283,8 @@ def test_benchmark_files__evaluations_have_the_mean_of_their_episodes(tmp_path: 
     file.write_text("step,seed,reward,other\n0,1,-4.0,9\n0,2,-2.0,9\n500,1,-1.0,9\n500,2,-1.5,\n")
     assert prepared._evaluations(file) == {"steps": [0, 500], "rewards": [-3.0, -1.25]}
     record = {"curve": {"steps": [40], "rewards": [-9.0]}, "evaluations": prepared._evaluations(file)}
-    assert curve_of(record)["steps"] == [0, 500]
-    assert curve_of({**record, "evaluations": None}) == record["curve"]
+    assert benchmark_page.curve_of(record)["steps"] == [0, 500]
+    assert benchmark_page.curve_of({**record, "evaluations": None}) == record["curve"]
 
 
 def test_benchmark_files__training_on_a_rule_waits_for_its_tuning(

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
+from typing import Any
 
 from zenostat.lab.benchmark import VERSION, Results, gap_table, load_bounds, load_results, score_rows
 from zenostat.lab.benchmark.definition import BUILDINGS
-from zenostat.lab.benchmark.figures import curve_of, write_curves, write_figures
+from zenostat.lab.benchmark.figures import write_figures
 from zenostat.lab.benchmark.merge import with_controllers
 from zenostat.lab.benchmark.run import same_controller
 from zenostat.lab.benchmark.scores import Interval, Scores, differences
 from zenostat.lab.benchmark.tables import Table, interval_text, saved_shares, tables
+from zenostat.views.report.figures.base import draw
+from zenostat.views.report.svg import save
+from zenostat.views.report.theme import LIGHT
 
 _FINE = 4
 """Digits after the point of differences of scores."""
+_PANELS = 3
+"""Learning curves beside each other."""
 _COMPARED = ("tuned", "ppo", "sac", "oracle")
 PAGE = Path(__file__).parents[2] / "docs" / "benchmark.md"
 PLANNING = PAGE.with_name("mpc.md")
@@ -223,6 +229,47 @@ def _replace(text: str, part: str, content: str) -> str:
     begin, end = f"<!-- made: {part} -->", f"<!-- end: {part} -->"
     before, _, rest = text.partition(begin)
     return f"{before}{begin}\n\n{content}\n\n{end}{rest.partition(end)[2]}"
+
+
+def write_curves(results: Results, folder: Path) -> Path | None:
+    """Write the learning curves as `curves` (SVG and PNG); return the PNG file, or None without trainings."""
+    records = {tuple(name.split("/")): record for name, record in results.trainings.items()}
+    panels = sorted({key[1:3] for key, record in records.items() if record.get("curve")})
+    if not panels:
+        return None
+    rows = math.ceil(len(panels) / _PANELS)
+    folder.mkdir(parents=True, exist_ok=True)
+    return save(
+        draw("curves", 0.3 + 1.5 * rows, lambda figure: _fill_curves(figure, panels, records)), folder, "curves"
+    )[1]
+
+
+def curve_of(record: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the learning curve of a training: its evaluations, or without any the rewards of its training episodes."""
+    return record.get("evaluations") or record.get("curve") or {"steps": [], "rewards": []}
+
+
+def _fill_curves(figure: Any, panels: Sequence[tuple[str, ...]], records: Mapping[tuple[str, ...], Any]) -> None:
+    columns = min(len(panels), _PANELS)
+    axes = figure.subplots(math.ceil(len(panels) / columns), columns, squeeze=False).ravel()
+    algorithms = sorted({key[0] for key, record in records.items() if record.get("curve")})
+    for axis, panel in zip(axes, panels, strict=False):
+        for number, algorithm in enumerate(algorithms, 1):
+            curves = [curve_of(of) for key, of in records.items() if key[:3] == (algorithm, *panel) and of.get("curve")]
+            for index, curve in enumerate(curves):
+                label = algorithm if index == 0 else None
+                color = LIGHT[f"series-{number}"]
+                axis.plot(curve["steps"], curve["rewards"], color=color, linewidth=0.8, label=label)
+                if curve["steps"][:1] == [0]:  # evaluations, in the same episodes
+                    label = "before the first step" if index == 0 else None
+                    axis.plot([0], [curve["rewards"][0]], "o", color=color, markersize=2.5, label=label)
+        axis.set_title(f"{BUILDINGS.get(panel[0], panel[0])}, {panel[1]}")
+        axis.xaxis.set_major_formatter(lambda steps, _: f"{steps / 1000:g}k")
+    for axis in axes[len(panels) :]:
+        axis.set_visible(False)
+    axes[0].legend(fontsize=6)
+    figure.supxlabel("training steps", fontsize=8.0, color=LIGHT["muted"])
+    figure.supylabel("reward of an episode (EUR)", fontsize=8.0, color=LIGHT["muted"])
 
 
 def write_curve_table(results: Results, path: Path) -> None:
