@@ -201,8 +201,15 @@ def test_docs__commands_parse(page: str) -> None:
             _parse(words)
 
 
+def test_docs__command_that_the_control_room_names_parses() -> None:
+    text = (ROOT / "views" / "room" / "static" / "overview.js").read_text(encoding="utf-8")
+    (line,) = re.findall(r'"(zenostat [^"]+)"', text)
+    _parse(shlex.split(line)[1:])
+
+
 def _parse(words: list[str]) -> None:
     """Values and what is required, too; nothing is run."""
+    assert words[0] != "node" or "--building" not in words or "--weather" in words, f"{words}: no weather"
     command = COMMAND
     context = command.make_context("zenostat", list(words))
     while rest := [*context._protected_args, *context.args]:

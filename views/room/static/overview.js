@@ -24,7 +24,7 @@ export class Overview {
   constructor(root) {
     this.cards = new Map();
     this.list = h("div", { class: "cards" });
-    this.empty = h("p", { class: "empty" }, "No node is on this bus yet. Start one: ", h("code", {}, "zenostat node --building office-medium --name office"));
+    this.empty = h("p", { class: "empty" }, "No node is on this bus yet. Start one: ", h("code", {}, "zenostat node --building office-medium --weather USA_CO_Denver --name office"));
     fill(root, h("h2", { class: "visually-hidden" }, "Nodes"), this.empty, this.list);
     this.handlers = { overview: (content) => this.update(content.nodes) };
   }
