@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import tempfile
 import threading
 from contextlib import ExitStack
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from zenostat.bridge.transport.session import DEFAULT_ENDPOINT
-from zenostat.cli.console import out, until_signal
+from zenostat.cli.console import err, out, until_signal
 from zenostat.cli.options import BusOptions, CertificateName, Keys, only_node
 from zenostat.cli.view import At, Size, Tab, screenshot_request
 from zenostat.topics.errors import InvalidConfig, NodeNotFound, ViewerError, did_you_mean
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     import zenoh
 
 _PAUSE_S = 0.2
+_VIEWER_S = 5.0
+"""How long a viewer may take for the last samples; that of a page that is suspended takes none."""
 
 
 def monitor(
@@ -72,15 +75,22 @@ def _stream(node: str, options: BusOptions, recording: Path | None, *, web: bool
     from zenostat.cli.monitor_stream import open_stream
 
     with ExitStack() as stack:
-        sinks = _sinks(stack, recording, web)
+        viewer = stack.enter_context(ExitStack())
+        sinks = _sinks(viewer, recording, web)
         stop = stack.enter_context(until_signal())
         if not _wait_for_bus(options, stop):
             return None
         session = stack.enter_context(options.open_session(Role.MONITOR, wait=True))
         affinity.lower_priority()
-        with open_stream(session, node, sinks, is_live=recording is None or len(sinks) > 1) as stream:
+        is_live = recording is None or len(sinks) > 1
+        with open_stream(session, node, sinks, is_live=is_live) as stream:
             out.print(f"connected to {options.endpoint}{_missing_note(session, node)}; press Ctrl-C to stop")
             stream.run(until=lambda: stop.is_set() or (once and stream.left))
+            if is_live and not stream.is_shown(_VIEWER_S):
+                rest = "ended without the rest" if web else "close its window, or press Ctrl-C again"
+                err.warning(f"the viewer has not taken all samples within {_VIEWER_S:g} s; {rest}")
+                viewer.close()
+                signal.signal(signal.SIGINT, signal.SIG_DFL)
         out.print(f"{counted(stream.samples, 'sample')} logged, {stream.missed} missed")
         return stream.samples
 

@@ -24,7 +24,7 @@ from zenostat.metrics.roles import roles
 from zenostat.topics import codec, keys
 from zenostat.topics.messages import Batch, Event, EventKind
 from zenostat.views.live.stream import RerunStream
-from zenostat.views.live.viewer import web_viewer
+from zenostat.views.live.viewer import serving, web_viewer
 
 
 def _recorded(path: Path) -> dict[str, dict[int, list[float]]]:
@@ -167,6 +167,23 @@ def test_monitor__viewer_that_is_served_leaves_no_files(scratch):
         (own,) = scratch.iterdir()
         (own / "rerun-data-1").mkdir()  # what a viewer makes sometimes, and leaves
     assert list(scratch.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_monitor__viewer_that_takes_nothing_is_noticed_and_the_file_is_whole(scratch, episode_bus):
+    path = scratch / "run.rrd"
+    with open_session(connect=[episode_bus.endpoint]) as session, serving("--serve-web") as server:
+        sinks = [rr.FileSink(str(path)), rr.GrpcSink(server.url)]
+        with RerunStream(session, "office", sinks) as stream:
+            assert stream.is_shown(60.0)
+            server.process.send_signal(signal.SIGSTOP)
+            for number in range(40):  # more than the connection holds
+                values = np.random.default_rng(number).integers(0, 256, 2**20, np.uint8)
+                stream.recording.log("large", rr.Tensor(values), static=False)
+            assert not stream.is_shown(1.0)
+            server.process.kill()
+    chunks = [chunk for chunk in RrdReader(str(path)).stream() if str(chunk.entity_path) == "/large"]
+    assert sum(chunk.num_rows for chunk in chunks) == 40
 
 
 @pytest.mark.slow

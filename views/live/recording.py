@@ -28,7 +28,7 @@ def episode_path(node: str, episode: int, run: int = 1) -> str:
 
 
 def write_out(recording: rr.RecordingStream, name: str) -> None:
-    """Wait until all that was logged is written.
+    """Wait until all that was logged is written, also where a viewer that took it as well has ended.
 
     Raises:
         ViewerError: the recording of this name cannot be written.
@@ -36,6 +36,8 @@ def write_out(recording: rr.RecordingStream, name: str) -> None:
     try:
         recording.flush()
     except RuntimeError as error:  # the thread that writes has ended; Rerun does not say why
+        if "gRPC" in str(error):
+            return
         raise ViewerError(f"cannot write {name}: {error}; its disk may be full") from None
 
 

@@ -152,6 +152,14 @@ class RerunStream:
             time.sleep(PERIOD_S)
             self.pump()
 
+    def is_shown(self, within_s: float) -> bool:
+        """Wait until a viewer has taken all that was logged; return whether it has within that time."""
+        try:
+            self.recording.flush(timeout_sec=within_s)
+        except RuntimeError:
+            return False
+        return True
+
     def _finish(self) -> None:
         time.sleep(2 * PERIOD_S)  # for the batches that nodes have not sent yet
         self.pump()
