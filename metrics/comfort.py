@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from datetime import datetime
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -51,7 +52,7 @@ class Comfort:
         self._counts = np.array([index or 0 for index in people], np.intp)
 
     def limits(self, values: Floats, begin: datetime) -> tuple[Floats, Floats]:
-        """Return the lower and the upper limit of each zone in degC, each of shape (zones,).
+        """Return the lower and the upper limit of each zone in degC, infinite for none, each of shape (zones,).
 
         Args:
             values: values of a sample, shape (points,).
@@ -112,11 +113,19 @@ def deviations(air: Floats, low: Any, high: Any) -> Floats:
     return result
 
 
+def band_text(low: float, high: float, digits: str = "g") -> str:
+    """Return a band in degC as text: `20 to 26 °C`, or `at least 20 °C` where the other limit is not finite."""
+    if isfinite(low) and isfinite(high):
+        return f"{low:{digits}} to {high:{digits}} °C"
+    if isfinite(low):
+        return f"at least {low:{digits}} °C"
+    return f"at most {high:{digits}} °C" if isfinite(high) else "no limits"
+
+
 def default_comfort(manifest: Manifest) -> Comfort | None:
     """Return `DEFAULT_BAND_DEGC` for all zones; None without a zone temperature."""
     zones = [zone for zone in roles(manifest).zones if zone.temperature is not None]
     if not zones:
         return None
     air, people = [zone.temperature or 0 for zone in zones], [zone.occupants for zone in zones]
-    low, high = DEFAULT_BAND_DEGC
-    return Comfort(f"{low:g} to {high:g} °C", air, people, lambda *_: DEFAULT_BAND_DEGC)
+    return Comfort(band_text(*DEFAULT_BAND_DEGC), air, people, lambda *_: DEFAULT_BAND_DEGC)

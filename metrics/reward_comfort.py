@@ -70,15 +70,15 @@ def _from_band(reward: ComfortBand, manifest: Manifest) -> Comfort:
 
 
 def _from_setpoints(reward: MultiZoneReward, manifest: Manifest) -> Comfort:
-    air, heat, cool = map(list, zip(*reward._points(manifest), strict=True))  # noqa: SLF001
-    threshold = reward.threshold
+    setpoints, threshold = reward.setpoints(manifest), reward.threshold
+    air = [zone.air for zone in setpoints.zones]
     return Comfort(
         _of(reward),
         air,
         _occupants(air, manifest),
-        lambda values, _: (values[heat] - threshold, values[cool] + threshold),
+        lambda values, _: (setpoints.heating(values) - threshold, setpoints.cooling(values) + threshold),
         follows_setpoints=True,
-        setpoints=list(zip(heat, cool, strict=True)),
+        setpoints=[[point for point in zone[1:] if point is not None] for zone in setpoints.zones],
     )
 
 

@@ -11,11 +11,12 @@ from zenostat.agent_sdk.rewards.base import BoundReward
 from zenostat.topics.messages import Manifest
 
 
-def _one_or_more(value: Any) -> Any:
+def one_or_more(value: Any) -> Any:
+    """Return a single name as a tuple, and anything else as it is."""
     return (value,) if isinstance(value, str) else value
 
 
-Names = Annotated[tuple[str, ...], BeforeValidator(_one_or_more, json_schema_input_type=str | list[str])]
+Names = Annotated[tuple[str, ...], BeforeValidator(one_or_more, json_schema_input_type=str | list[str])]
 """Names of sensors or meters; a single name is also accepted."""
 
 

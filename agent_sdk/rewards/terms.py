@@ -15,6 +15,7 @@ from zenostat.agent_sdk.rewards.energy_meter import EnergyMeter
 from zenostat.agent_sdk.rewards.seasons import Seasons
 from zenostat.agent_sdk.rewards.selectors import Indices, sum_at
 from zenostat.agent_sdk.rewards.slot_state import SlotState
+from zenostat.agent_sdk.rewards.zone_setpoints import ZoneSetpoints
 from zenostat.topics.arrays import Floats
 
 Band = tuple[float, float]
@@ -186,20 +187,18 @@ class SetpointDegrees(Quantity):
     """The degrees outside each zone's setpoints and a threshold, in K, summed. Metric: degrees_outside.
 
     Args:
-        air: sensors of zone air temperatures.
-        heating: sensors of the zones' heating setpoints.
-        cooling: sensors of the zones' cooling setpoints.
+        setpoints: the zones with their setpoints.
         threshold_k: the threshold.
     """
 
-    def __init__(self, air: Indices, heating: Indices, cooling: Indices, threshold_k: float) -> None:
-        self._air, self._heating, self._cooling, self._threshold_k = air, heating, cooling, threshold_k
+    def __init__(self, setpoints: ZoneSetpoints, threshold_k: float) -> None:
+        self._setpoints, self._threshold_k = setpoints, threshold_k
 
     @override
     def measure(self, values: Floats, begin: Begin, metrics: Terms) -> Any:
-        air = values.take(self._air, axis=-1)
-        cold = values.take(self._heating, axis=-1) - self._threshold_k - air
-        warm = air - values.take(self._cooling, axis=-1) - self._threshold_k
+        air = values.take(self._setpoints.air, axis=-1)
+        cold = self._setpoints.heating(values) - self._threshold_k - air
+        warm = air - self._setpoints.cooling(values) - self._threshold_k
         outside = metrics["degrees_outside"] = np.maximum(np.maximum(cold, warm), 0.0).sum(axis=-1)
         return outside
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
-from support.builders import meter
+from support.builders import manifest, meter, sensor
 from support.rewards import KWH, MINIMAL_FIELDS, NODE, PERIODS, SENSORS, SUMMER, WINTER, node_of, reward_config, values
 
 from zenostat.agent_sdk.rewards import (
@@ -109,6 +109,46 @@ def test_rewards__multi_zone_by_names() -> None:
     two = MultiZoneReward(zones={"north": ("north_heating", "south_cooling")}, threshold=0.0).bind(NODE)
     assert two(values(north=22.5), WINTER).reward == 0.0
     assert two(values(north=0.0), WINTER).metrics["degrees_outside"] == pytest.approx(21.0)
+
+
+def test_rewards__multi_zone_without_a_limit_where_the_thermostat_does_not_use_a_setpoint() -> None:
+    bound = MultiZoneReward().bind(NODE)
+    heated = values(north=15.72, north_heating=21.0, north_cooling=0.0, south_heating=0.0)
+    assert bound(heated, WINTER).metrics["degrees_outside"] == pytest.approx(21.0 - 0.5 - 15.72)
+    for air, outside in [(40.0, 0.0), (10.0, 10.5)]:
+        got = bound(values(north=air, north_cooling=0.0), WINTER).metrics["degrees_outside"]
+        assert got == pytest.approx(outside)
+    rows = np.stack([heated, values(north=26.0, north_heating=0.0, north_cooling=24.0)])
+    np.testing.assert_allclose(bound(rows, WINTER).metrics["degrees_outside"], [4.78, 1.5])
+
+
+@pytest.mark.parametrize(
+    ("limits", "air", "outside"),
+    [
+        (["north_heating", None], 40.0, 0.0),
+        (["north_heating", None], 18.0, 3.0),
+        ([None, "north_cooling"], 18.0, 0.0),
+        ([None, "north_cooling"], 27.0, 3.0),
+    ],
+)
+def test_rewards__multi_zone_with_a_limit_on_one_side(limits: list[str | None], air: float, outside: float) -> None:
+    reward = read_reward({"kind": "multi_zone", "zones": {"north": limits}, "threshold": 0.0})
+    assert isinstance(reward, MultiZoneReward)
+    assert read_reward(reward.model_dump(mode="json")) == reward
+    assert reward.bind(NODE)(values(north=air), WINTER).metrics["degrees_outside"] == pytest.approx(outside)
+
+
+@pytest.mark.parametrize("limits", [[None], [None, None], [], ["north_heating", None, None]])
+def test_rewards__multi_zone_needs_a_limit(limits: list[str | None]) -> None:
+    with pytest.raises(InvalidConfig, match=r"\[heating, cooling\] expected"):
+        read_reward({"kind": "multi_zone", "zones": {"north": limits}})
+
+
+def test_rewards__multi_zone_has_zero_as_a_limit_of_other_sensors() -> None:
+    """Only thermostats report 0 for what they do not use; 0 degC is a setpoint of a schedule."""
+    node = manifest(sensors=[sensor("room", "Zone Air Temperature"), sensor("limit", "Schedule Value")])
+    bound = MultiZoneReward(zones={"room": (None, "limit")}, threshold=0.0, power=()).bind(node)
+    assert bound(np.array([2.0, 0.0]), WINTER).metrics["degrees_outside"] == 2.0
 
 
 PRICE = {"table": PERIODS, "otherwise": 100.0, "unit": "EUR/MWh"}

@@ -199,6 +199,14 @@ def test_evaluation__zones_with_setpoints_of_their_own() -> None:
     assert result.mean_deviation_k == pytest.approx(1.5 / 2)
 
 
+def test_evaluation__setpoint_that_is_not_in_use_is_no_limit() -> None:
+    """A thermostat for heating only in winter and for cooling only in summer reports 0 for the other setpoint."""
+    winter, summer = [18.0, 21.0, 0.0], [25.0, 0.0, 24.0]
+    result = tallied(OWN_SETPOINTS, winter, summer, reward=MultiZoneReward(threshold=0.0))
+    assert result.mean_deviation_k == pytest.approx((3.0 + 1.0) / 2)
+    assert result.kpis["tdis_tot"] == pytest.approx((3.0 / 2 + 1.0 / 2) * 0.25)  # within its limit at the begin of each
+
+
 def test_evaluation__discomfort_of_a_timestep_is_by_its_own_setpoints_at_both_ends() -> None:
     """The thermal discomfort of BOPTEST's KPIs, where the setpoints of the next timestep differ."""
     tally = MetricsAccumulator(OWN_SETPOINTS, MultiZoneReward(threshold=0.0))

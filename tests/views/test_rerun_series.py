@@ -1,5 +1,7 @@
 """Line plots of the monitor: what is in them, and that sparse lines are the same lines."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -76,6 +78,15 @@ def test_rerun_series__band_is_bold_while_any_zone_is_occupied() -> None:
     block = _block(office(), rows(3, core_occupants=[0, 2, 0]))
     nan = float("nan")
     np.testing.assert_array_equal(band_rows(block), [[nan, nan, 20, 26], [20, 26, 20, 26], [nan, nan, 20, 26]])
+
+
+def test_rerun_series__band_has_no_limit_where_no_zone_has_one() -> None:
+    block = _block(office(), rows(3))
+    low, high = block.low.copy(), block.high.copy()
+    low[1:, 0], low[2, 1], high[2] = -np.inf, -np.inf, np.inf
+    nan = float("nan")
+    limits = band_rows(replace(block, low=low, high=high))[:, 2:]
+    np.testing.assert_array_equal(limits, [[20, 26], [20, 26], [nan, nan]])
 
 
 def test_rerun_series__node_without_end_uses_has_its_other_fuels_beside_its_electric_power() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import rerun as rr
 from PIL import Image, ImageDraw, ImageFont
 
+from zenostat.metrics.comfort import band_text
 from zenostat.views.display.colors import COMFORT_RANGE_K, RGB, WITHIN, comfort_color
 from zenostat.views.live.recording import EpisodeLog
 from zenostat.views.live.samples import SampleBlock
@@ -54,7 +55,7 @@ class ComfortScale:
 
     def __init__(self, log: EpisodeLog) -> None:
         self._log = log
-        self._band: tuple[float, float] | None = None
+        self._band = ""
         font, legend = ImageFont.load_default(_FONT_PX), comfort_legend()
         width = draw_legend(ImageDraw.Draw(Image.new("RGB", (1, 1))), font, _GAP_PX, 0, legend)
         image = Image.new("RGB", (round(width) + _BAND_PX, _FONT_PX + _GAP_PX), _GROUND)
@@ -67,11 +68,12 @@ class ComfortScale:
     def add(self, block: SampleBlock) -> None:
         """Log the limits where they change: from the lowest to the highest of all zones."""
         rows, texts = [], []
-        for row, band in enumerate(zip(block.low.min(axis=1).tolist(), block.high.max(axis=1).tolist(), strict=True)):
+        for row, limits in enumerate(zip(*block.outer_limits(), strict=True)):
+            band = band_text(*limits, ".1f")
             if band != self._band:
                 self._band = band
                 rows.append(row)
-                texts.append("{:.1f} to {:.1f} °C".format(*band))
+                texts.append(band)
         if rows:
             points = rr.Points2D.columns(
                 positions=np.tile(self._place, (len(rows), 1)),

@@ -46,7 +46,8 @@ class SampleBlock:
         effective: the actuators' effective values, shape (n, actuators).
         commanded: the commands in effect, NaN where relinquished, shape (n, actuators).
         sources: name of each actuator's value source, shape (n, actuators); empty for baseline control.
-        low, high: limits of the comfort band in degC, shape (n, zones); no zones without a comfort band.
+        low, high: limits of the comfort band in degC, infinite for none, shape (n, zones); no zones without a comfort
+            band.
         deviations: deviation from the band in K, without injected faults: negative below the band, 0 within, NaN if
             unknown, shape (n, zones).
         is_occupied: whether each zone is occupied, shape (n, zones); True for a zone without an occupant count.
@@ -66,6 +67,11 @@ class SampleBlock:
 
     def __len__(self) -> int:
         return len(self.steps)
+
+    def outer_limits(self) -> tuple[Floats, Floats]:
+        """Return the lowest and the highest limit of all zones, each of shape (n,); NaN where no zone has one."""
+        low, high = (np.where(np.isfinite(limits), limits, np.nan) for limits in (self.low, self.high))
+        return np.fmin.reduce(low, axis=1, initial=np.nan), np.fmax.reduce(high, axis=1, initial=np.nan)
 
 
 class BlockReader:

@@ -136,7 +136,7 @@ def band_rows(block: SampleBlock) -> Floats:
     Where zones have different bands, it is the band from the lowest to the highest limit. The first two columns are NaN
     while no zone is occupied.
     """
-    low, high = block.low.min(axis=1), block.high.max(axis=1)
+    low, high = block.outer_limits()
     is_occupied = block.is_occupied.any(axis=1)
     return np.stack([np.where(is_occupied, low, np.nan), np.where(is_occupied, high, np.nan), low, high], axis=1)
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from zenostat.metrics.comfort import band_text
 from zenostat.metrics.roles import PointRoles
 from zenostat.topics.arrays import Floats
 from zenostat.topics.plurals import counted
@@ -44,7 +45,7 @@ class NodeNumbers:
     Attributes:
         time: simulated time.
         low_degc, high_degc: lowest and highest zone temperature.
-        band_degc: lowest and highest limit of the zones' comfort bands.
+        band_degc: lowest and highest limit of the zones' comfort bands, NaN for none.
         zones_outside: number of zones outside their comfort band.
         facility_kw, hvac_kw: electric power; `hvac_label`: what the second is measured of.
         facility_kwh, hvac_kwh: electricity since the first sample.
@@ -89,7 +90,7 @@ def numbers_of(
     nothing: list[None] = [None] * count
     air, outdoor = values[:, zones], roles.outdoor_temperature
     outside = (np.abs(block.deviations) > 0.05).sum(axis=1).tolist()
-    limits = zip(block.low.min(axis=1).tolist(), block.high.max(axis=1).tolist(), strict=True) if has_band else nothing
+    limits = zip(*(limit.tolist() for limit in block.outer_limits()), strict=True) if has_band else nothing
     fuels = [fuel.fuel for fuel in roles.other_fuels]
     uses = zip(totals.fuels_kw.tolist(), totals.fuels_kwh.tolist(), strict=True)
     columns: dict[str, Iterable[Any]] = {
@@ -142,7 +143,7 @@ def markdown(numbers: NodeNumbers) -> str:
     if numbers.low_degc is not None and numbers.high_degc is not None:
         cells.append(("Zones", f"{numbers.low_degc:.1f} to {numbers.high_degc:.1f} °C"))
     if numbers.band_degc is not None:
-        cells.append(("Comfort band", "{:.1f} to {:.1f} °C".format(*numbers.band_degc)))
+        cells.append(("Comfort band", band_text(*numbers.band_degc, ".1f")))
     if numbers.zones_outside is not None:
         cells.append(("Outside comfort", f"{numbers.zones_outside} of {counted(numbers.zones, 'zone')}"))
     if numbers.people is not None:

@@ -102,8 +102,8 @@ class ZonePanel(Panel):
         if self._has_many:
             self._show_zone(worst)
         setpoints = self._draw_setpoints(window, worst)
-        is_common = np.array_equal(low, low[:, [worst] * low.shape[1]]) and np.array_equal(
-            high, high[:, [worst] * low.shape[1]]
+        is_common = all(
+            np.array_equal(limits, limits[:, [worst] * limits.shape[1]], equal_nan=True) for limits in (low, high)
         )
         bottom, top = low[:, worst], high[:, worst]
         self._band.set_xy(artists.outline(window.hours, bottom, top, held=True))
@@ -118,7 +118,7 @@ class ZonePanel(Panel):
 
     def _worst_zone(self, window: Window, low: Floats, high: Floats) -> int:
         """Return the zone with the most degree-hours outside its band; without any, the one nearest to its limits."""
-        outside = np.maximum(low - window.values[:, self._air], window.values[:, self._air] - high)
+        outside = np.fmax(low - window.values[:, self._air], window.values[:, self._air] - high)
         outside = np.nan_to_num(outside, nan=-1e9)
         total = np.maximum(outside, 0.0).sum(axis=0)
         return int(total.argmax()) if total.max() > 0.0 else int(outside.max(axis=0).argmax())

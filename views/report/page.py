@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from zenostat.metrics.comfort import band_text
 from zenostat.topics.plurals import counted
 from zenostat.views.report.district_section import ANCHOR, TITLE, district_section, has_district
 from zenostat.views.report.document import REPORT_SCRIPT, document
@@ -92,8 +93,11 @@ def _band(run: Run) -> str:
     comfort = run.quantities.comfort
     assert comfort is not None
     bands = np.unique(np.stack([comfort.low.ravel(), comfort.high.ravel()]), axis=1).T.tolist()
-    texts = [f"{low:g} to {high:g} °C" for low, high in bands]
-    text = names(texts) if len(texts) <= 2 else f"by zone and time, {comfort.low.min():g} to {comfort.high.max():g} °C"
+    texts = [band_text(low, high) for low, high in bands]
+    if len(texts) > 2:
+        low, high = (limits[np.isfinite(limits)] for limits in (comfort.low, comfort.high))
+        texts = [f"by zone and time, {band_text(low.min(initial=np.inf), high.max(initial=-np.inf))}"]
+    text = names(texts)
     return f"{text} ({comfort.source})" if comfort.is_rated else f"{text} (assumed: no reward has a band)"
 
 

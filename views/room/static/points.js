@@ -84,7 +84,7 @@ export class ZoneTable {
       setText(cells.temperature, num(value(zone.temperature), "°C"));
       cells.temperature.classList.toggle("warm", now?.deviation > 0);
       cells.temperature.classList.toggle("cold", now?.deviation < 0);
-      setText(cells.band, now ? `${num(now.low, "°C")} – ${num(now.high, "°C")}` : "");
+      setText(cells.band, now ? bandText(now) : "");
       if (cells.humidity) setText(cells.humidity, num(value(zone.humidity), "people"));
       if (cells.people) setText(cells.people, num(value(zone.occupants), "people"));
       let source = "";
@@ -180,4 +180,10 @@ export class PointTable {
     this.plotted = plotted;
     for (const { point, button } of this.rows) setAttribute(button, "aria-pressed", String(plotted.includes(point.id)));
   }
+}
+
+function bandText({ low, high }) {
+  const [from, to] = [num(low, "°C"), num(high, "°C")];
+  if (low === null && high !== null) return `≤ ${to}`;
+  return high === null && low !== null ? `≥ ${from}` : `${from} – ${to}`;
 }
