@@ -8,7 +8,7 @@ pytest.importorskip("starlette")
 
 from support.clock import Clock
 
-from zenostat.views.room.access import POLICY, Access
+from zenostat.views.room.access import MAX_BODY_BYTES, POLICY, Access, Guard
 
 HOST = "127.0.0.1:8600"
 TOKEN = "t" * 32
@@ -150,3 +150,34 @@ def test_access__policy_allows_nothing_unsafe() -> None:
     assert "unsafe" not in POLICY
     assert "default-src 'none'" in POLICY
     assert "http" not in POLICY
+
+
+async def guarded(access: Access, *messages: dict[str, Any]) -> tuple[list[bytes], list[int]]:
+    """Bodies that the application receives of a permitted request, and the statuses that the client receives."""
+    receiving, bodies, statuses = iter(messages), [], []
+
+    async def receive() -> dict[str, Any]:
+        return next(receiving, {"type": "http.disconnect"})
+
+    async def send(message: dict[str, Any]) -> None:
+        statuses.extend([message["status"]] if message["type"] == "http.response.start" else [])
+
+    async def app(_: Any, receive_next: Any, __: Any) -> None:
+        bodies.append((await receive_next())["body"])
+        assert (await receive_next())["type"] == "http.disconnect"
+
+    request = scope("POST", "/grafana/query", authorization=f"Bearer {TOKEN}")
+    await Guard(app, access)(request, receive, send)
+    return bodies, statuses
+
+
+def part(body: bytes, *, is_last: bool = True) -> dict[str, Any]:
+    return {"type": "http.request", "body": body, "more_body": not is_last}
+
+
+async def test_guard__application_has_whole_bodies_only(access: Access) -> None:
+    assert await guarded(access, part(b"{", is_last=False), part(b"}")) == ([b"{}"], [])
+    assert await guarded(access, part(b"{", is_last=False)) == ([], [])  # the client has left
+    assert await guarded(access, part(b" " * MAX_BODY_BYTES)) == ([b" " * MAX_BODY_BYTES], [])
+    too_long = part(b" " * MAX_BODY_BYTES, is_last=False), part(b" ")
+    assert await guarded(access, *too_long) == ([], [413])

@@ -258,7 +258,11 @@ class Access:
 
 
 class Guard:
-    """ASGI middleware: rejects what `Access` does not permit, limits bodies, and adds the headers of each response."""
+    """ASGI middleware: rejects what `Access` does not permit, reads bodies, and adds the headers of each response.
+
+    The application has the whole body of a request at once; one that is too long, or whose client leaves while sending
+    it, does not reach the application.
+    """
 
     def __init__(self, app: ASGIApp, access: Access) -> None:
         self._app, self._access = app, access
@@ -274,15 +278,6 @@ class Guard:
             await self._app(scope, receive, send)
         if scope["type"] != "http":
             return
-        received = 0
-
-        async def receive_limited() -> Any:
-            nonlocal received
-            message = await receive()
-            received += len(message.get("body", b""))
-            if received > MAX_BODY_BYTES:
-                raise BodyTooLarge
-            return message
 
         async def send_with_headers(message: Any) -> None:
             if message["type"] == "http.response.start":
@@ -294,15 +289,36 @@ class Guard:
 
         rejection = self._access.rejection(scope)
         if rejection is not None:
-            status, text = rejection
-            response = JSONResponse({"error": "AccessDenied", "message": text}, status)
-            await response(scope, receive, send_with_headers)
+            await _reject(*rejection, "AccessDenied")(scope, receive, send_with_headers)
             return
-        await self._app(scope, receive_limited, send_with_headers)
+        body = await _read(receive)
+        if body is None:
+            return
+        if len(body) > MAX_BODY_BYTES:
+            await _reject(413, "the body is too large", "BadMessage")(scope, receive, send_with_headers)
+            return
+        received = iter([{"type": "http.request", "body": body, "more_body": False}])
+
+        async def receive_next() -> Any:
+            return next(received, None) or await receive()
+
+        await self._app(scope, receive_next, send_with_headers)
 
 
-class BodyTooLarge(Exception):
-    """A request's body is longer than `MAX_BODY_BYTES`."""
+def _reject(status: int, text: str, error: str) -> JSONResponse:
+    return JSONResponse({"error": error, "message": text}, status)
+
+
+async def _read(receive: Callable[[], Awaitable[Any]]) -> bytes | None:
+    """Return the body of a request, or its beginning if it is too long; None if the client leaves before its end."""
+    body, has_more = bytearray(), True
+    while has_more and len(body) <= MAX_BODY_BYTES:
+        message = await receive()
+        if message["type"] == "http.disconnect":
+            return None
+        body += message.get("body", b"")
+        has_more = message.get("more_body", False)
+    return bytes(body)
 
 
 def _certificate(scope: MutableMapping[str, Any]) -> ClientCertificate:

@@ -32,7 +32,7 @@ from zenostat.topics.errors import (
     ZenostatError,
 )
 from zenostat.topics.keys import Role
-from zenostat.views.room.access import Access, BodyTooLarge, Guard, Session, check_name_of, operator_of
+from zenostat.views.room.access import Access, Guard, Session, check_name_of, operator_of
 from zenostat.views.room.audit import TOPIC as AUDIT
 from zenostat.views.room.audit import AuditLog
 from zenostat.views.room.builder import Builder
@@ -161,7 +161,7 @@ class Room:
             Route("/grafana/query", self._grafana_query, methods=["POST"]),
             Mount("/static", StaticFiles(directory=_STATIC)),
         ]
-        handlers: dict[Any, Any] = {ZenostatError: _failure, BodyTooLarge: _too_large}
+        handlers: dict[Any, Any] = {ZenostatError: _failure}
         app = Starlette(routes=routes, exception_handlers=handlers, lifespan=self._lifespan)
         self.asgi = Guard(app, access)
 
@@ -392,7 +392,3 @@ _STATUS = ((NameInUse, 409), (RequestRejected, 409), (UsageError, 400), (BusErro
 async def _failure(_: Request, error: Exception) -> Response:
     status = next((code for kind, code in _STATUS if isinstance(error, kind)), 500)
     return JSONResponse({"error": type(error).__name__, "message": _LONG.sub(r"\1…", str(error))}, status)
-
-
-async def _too_large(_: Request, __: Exception) -> Response:
-    return JSONResponse({"error": "BadMessage", "message": "the body is too large"}, 413)
