@@ -107,6 +107,7 @@ def test_access__two_hosts_are_rejected(access: Access) -> None:
         ({"origin": f"http://{HOST}", "sec_fetch_site": "same-site"}, 403),
         ({"origin": f"http://{HOST}", "sec_fetch_site": "cross-site"}, 403),
         ({"origin": f"http://{HOST}", "sec_fetch_site": "same-origin"}, 200),
+        ({"origin": f"http://{HOST}", "content_type": "Application/JSON; charset=utf-8"}, 200),
         ({"origin": f"http://{HOST}", "content_type": "text/plain"}, 415),
         ({"origin": f"http://{HOST}", "content_type": "application/x-www-form-urlencoded"}, 415),
     ],

@@ -210,7 +210,7 @@ class Access:
             return None
         if origins != [f"{self.scheme}://{headers['host']}"]:
             return 403, "a change must come from this page"
-        if method == "POST" and headers.get("content-type", "").partition(";")[0].strip() != "application/json":
+        if method == "POST" and headers.get("content-type", "").partition(";")[0].strip().lower() != "application/json":
             return 415, "application/json expected"
         return None
 
