@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import importlib.util
-import time
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import AbstractAsyncContextManager, AsyncExitStack
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 
@@ -18,6 +17,7 @@ from zenostat.cli.boptest import boptest
 from zenostat.cli.console import err, out
 from zenostat.cli.gateway_clients import Allow, clients_of, notify
 from zenostat.cli.options import DEFAULTS, BusOptions, Expose, Wait, on_bus, only_node
+from zenostat.cli.waiting import RETRY_S, Waiting, when_there
 from zenostat.topics.errors import InvalidConfig, NodeNotFound, RequestRejected, ZenostatError
 from zenostat.topics.extras import install_command
 from zenostat.topics.keys import Role, check_name
@@ -29,9 +29,6 @@ if TYPE_CHECKING:
     from zenostat.gateways.node_client import NodeClient
     from zenostat.topics.messages import Manifest
 
-T = TypeVar("T")
-
-_RETRY_S = 1.0
 _RELINQUISH_S = 2.0
 _END_S = 5.0  # more than a gateway takes to answer its clients
 
@@ -107,17 +104,6 @@ def zeromq(
     )
 
 
-def when_there(attempt: Callable[[], T], *, wait: bool) -> T:
-    """Return what an attempt returns, the first one or, with `wait`, that for which the bus and the node are there."""
-    waiting = _Waiting(wait)
-    while True:
-        try:
-            return attempt()
-        except NodeNotFound as error:
-            waiting.report(error)
-        time.sleep(_RETRY_S)
-
-
 def manifest_of(node: str, options: BusOptions, *, wait: bool) -> Manifest:
     """Return the manifest of a node, with `wait` as soon as the bus and the node are there."""
 
@@ -126,21 +112,6 @@ def manifest_of(node: str, options: BusOptions, *, wait: bool) -> Manifest:
             return bus.manifest(node)
 
     return when_there(read, wait=wait)
-
-
-class _Waiting:
-    """Waiting for the bus and the node, if it is allowed; each reason is printed once."""
-
-    def __init__(self, is_allowed: bool) -> None:
-        self._is_allowed, self._reason = is_allowed, ""
-
-    def report(self, error: NodeNotFound) -> None:
-        """Print why the gateway waits; raise the error if it may not."""
-        if not self._is_allowed:
-            raise error
-        if str(error) != self._reason:
-            self._reason = str(error)
-            out.print(f"{error}; waiting for it, press Ctrl-C to stop")
 
 
 class NodeGateway(Protocol):
@@ -206,13 +177,13 @@ async def _until_served(serve_until: Callable[[asyncio.Future[int]], Awaitable[i
 
     for number in TERMINATION_SIGNALS:
         loop.add_signal_handler(number, stop, number)
-    waiting = _Waiting(wait)
+    waiting = Waiting(wait)
     while True:
         try:
             return await serve_until(stopped)
         except NodeNotFound as error:
             waiting.report(error)
-        await asyncio.wait((stopped,), timeout=_RETRY_S)
+        await asyncio.wait((stopped,), timeout=RETRY_S)
         if stopped.done():
             return stopped.result()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +14,7 @@ from zenostat.bridge.transport.session import keys_folder
 from zenostat.cli.console import out
 from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
 from zenostat.cli.token_file import read_token
+from zenostat.cli.waiting import when_there
 from zenostat.cli.write import user_name
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
@@ -79,7 +81,7 @@ def room(
 
     Example: `zenostat room --operator ada.lovelace`
 
-    The link that it prints signs one browser in, once. With keys, it uses the gateway role.
+    It waits for the bus, and prints a link, which signs one browser in, once. With keys, it uses the gateway role.
     """
     with requires_extra("room", "the control room", "starlette and uvicorn"):
         from zenostat.views.room.access import OPERATOR
@@ -103,7 +105,7 @@ def room(
         audit_log=audit_log,
     )
     with (
-        options.open_bus(Role.GATEWAY) as bus,
+        when_there(partial(options.open_bus, Role.GATEWAY), wait=True) as bus,
         RoomServer(
             bus, address, operator=name, api_token=token, settings=settings, tls=tls, is_exposed=expose
         ) as server,

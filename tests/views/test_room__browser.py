@@ -485,6 +485,23 @@ def test_room__node_that_dies_and_comes_back(browser: Any, scratch: Path) -> Non
 
 
 @pytest.mark.slow
+def test_room__command_waits_for_its_bus(scratch: Path) -> None:
+    endpoint = f"unixsock-stream/{scratch}/bus"
+    command = [*ZENOSTAT, "room", "--connect", endpoint, "--address", "127.0.0.1:0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
+        try:
+            assert program.stdout is not None
+            assert "; waiting for it, press Ctrl-C to stop" in program.stdout.readline()
+            (scratch / "tank.py").write_text(TANK)
+            with NodeProgram(scratch / "node", plant=f"{scratch}/tank.py:Tank", name="tank", listen=[endpoint]):
+                assert program.stdout.readline().startswith("ready: http://127.0.0.1:")
+                program.send_signal(signal.SIGTERM)
+                assert program.wait() == 0
+        finally:
+            program.kill()
+
+
+@pytest.mark.slow
 def test_room__command_prints_a_link_and_ends_on_sigterm(office: NodeProgram, scratch: Path) -> None:
     with nothing_left(scratch):
         command = [*ZENOSTAT, "room", "--connect", office.endpoint]
