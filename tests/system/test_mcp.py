@@ -291,6 +291,7 @@ async def test_mcp__report_is_words_and_with_a_folder_a_file(
         assert "controlled" not in " ".join(report["result"])  # no part of a longer run
         assert Path(report["file"]).parent == tmp_path
         assert "<html" in Path(report["file"]).read_text()
+    assert ahead["result"][0].startswith("present control used")
     assert "baseline" in ahead["result"][0]
     begin, end = (datetime.fromisoformat(ahead[moment]) for moment in ("from", "to"))
     assert end - begin == timedelta(hours=4)

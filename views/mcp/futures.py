@@ -110,7 +110,7 @@ class MakeReport(Tool):
         if self.hours is None:
             trajectories = {self.node: _so_far(desk, description)}
         else:
-            futures = {"baseline": Future(is_relinquished=True), "as is": Future()}
+            futures = {"baseline": Future(is_relinquished=True), "present control": Future()}
             step_h = description.manifest.step_h  # a trajectory begins with the sample after the first timestep
             samples = _simulate(desk, description, futures, self.hours + step_h)
             trajectories = {name: _trajectory(description, each) for name, each in samples.items()}
