@@ -62,7 +62,7 @@ def bacnet(
         err.print(f"BACnet/IP has no authentication: whoever reaches {interface.address.ip} can command {node}")
     serve(
         node,
-        lambda client: BacnetGateway(client, interface, instance=number, source=source, clients=known, notify=notify),
+        lambda client: BacnetGateway(client, interface, instance=number, clients=known, notify=notify),
         source=source,
         via="bacnet",
         options=options,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable
-from contextlib import AsyncExitStack, nullcontext, suppress
+from contextlib import AsyncExitStack, suppress
 from typing import Any, TypeVar
 
 import zenoh
@@ -15,7 +15,7 @@ from zenostat.bridge.client.sample import SampleView
 from zenostat.gateways.bus_side import BusMessage, BusSide
 from zenostat.gateways.exclusive_names import liveliness_tokens
 from zenostat.gateways.node_listeners import Counts, Listeners
-from zenostat.gateways.written_commands import Relinquished, WrittenCommands
+from zenostat.gateways.written_commands import Relinquished, relinquish
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import (
     BadMessage,
@@ -105,7 +105,6 @@ class NodeClient:
         self._index = PointIndex((), "sensor or meter")
         self._instance = ""
         self._pending: set[asyncio.Future[Any]] = set()
-        self._written = WrittenCommands(self.source)
         self._tasks: set[asyncio.Task[None]] = set()
         self._changed = asyncio.Event()
         self._messages: deque[BusMessage] = deque(maxlen=_MAX_WAITING_MESSAGES)
@@ -151,7 +150,7 @@ class NodeClient:
             value: in the actuator's unit; None relinquishes it at this priority.
             priority: 1 (highest) to 16; 8 is a manual operator's.
             duration_s: simulated seconds after which the value is relinquished.
-            source: name of the writer; None for the gateway's own. With keys, it is placed below the gateway's name.
+            source: name of the writer, which is placed below the gateway's own; None for the gateway itself.
 
         Raises:
             UnknownName: no such actuator; the text lists similar names.
@@ -161,11 +160,10 @@ class NodeClient:
         """
         try:
             actuator_index(self.manifest).require([actuator])
-            source = keys.own_name(self._identity, source or self.source)
+            source = keys.own_name(self.source, source or "")
             fields = {"value": value, "priority": priority, "duration_s": duration_s, "source": source}
             message = codec.validated(Write, fields, actuator, InvalidAction)
-            with nullcontext() if value is None else self._written.sending(actuator, priority, source):
-                ack = await self.ask(keys.WRITE_REQUEST, message, Ack, name=actuator)
+            ack = await self.ask(keys.WRITE_REQUEST, message, Ack, name=actuator)
         except ZenostatError:
             self.counts.rejected += 1
             raise
@@ -173,13 +171,13 @@ class NodeClient:
         return ack
 
     async def relinquish_written(self) -> Relinquished:
-        """Relinquish the commands in force that this client wrote, or an earlier one under its source.
+        """Relinquish the commands in force of this client's source and those below it, whichever process wrote them.
 
         Raises:
             RequestRejected: the node has no priority arrays, as in a replay, so no command is in force.
             NodeLost, PeerError: as for `ask`.
         """
-        return await self._written.relinquish(self.ask, self.manifest)
+        return await relinquish(self.ask, self.manifest, self.source)
 
     async def priorities(self, slot: int = 0) -> dict[str, list[PriorityValue]]:
         """Return each actuator's priority array in a slot by its name: 16 entries, that of priority 1 first."""

@@ -30,7 +30,6 @@ class BacnetGateway:
         node: the node, already connected.
         interface: the network interface to listen on.
         instance: instance number of the device, 0 to 4,194,302.
-        source: beginning of the writers' names on the bus; the client's address follows.
         clients: names of clients, and what they may write.
         notify: called with the reasons of writes that were rejected, for which BACnet has only a class and a code.
 
@@ -47,13 +46,12 @@ class BacnetGateway:
         interface: Interface,
         *,
         instance: int,
-        source: str = "bacnet",
         clients: Clients = UNRESTRICTED,
         notify: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.counts = BacnetCounts()
         self._clients, self._rejections = clients, Notices(notify)
-        self._node, self._interface, self._instance, self._source = node, interface, instance, source
+        self._node, self._interface, self._instance = node, interface, instance
         self._changed = asyncio.Event()
         self._specs: list[PointSpec] = []
         self._points: list[NodeObject] = []
@@ -63,14 +61,14 @@ class BacnetGateway:
         # bacpypes3 logs each malformed message with a traceback; they are counted here.
         logging.getLogger("bacpypes3").addHandler(logging.NullHandler())
         logging.getLogger("bacpypes3").propagate = False
-        self._state = NodeState(self._node, self._source, self._changed.set)
+        self._state = NodeState(self._node, self._changed.set)
         self._device = NodeDevice(self._state, self._instance)
         port = NodePort(self._interface.bacnet_address, self._interface.name)
         self._application = NodeApplication(
             self._device,
             port,
             self._interface,
-            source=self._source,
+            source=self._node.source,
             clients=self._clients,
             counts=self.counts,
             rejections=self._rejections,

@@ -87,12 +87,11 @@ class NodeState:
 
     Args:
         node: the node.
-        source: beginning of the writers' names on the bus.
         changed: called when values, commands or presence may have changed.
     """
 
-    def __init__(self, node: NodeClient, source: str, changed: Callable[[], None]) -> None:
-        self.node, self._source, self._changed = node, source, changed
+    def __init__(self, node: NodeClient, changed: Callable[[], None]) -> None:
+        self.node, self._changed = node, changed
         self.arrays: LatestReply[dict[str, list[PriorityValue]] | None] = LatestReply(node.priorities, None)
         self.status: LatestReply[Status | None] = LatestReply(self._ask_status, None)
         self.set_manifest(node.manifest)
@@ -172,7 +171,7 @@ class NodeState:
     def source(self) -> str:
         """Return the name on the bus of the client whose request is being answered."""
         request = current_request.get()
-        return request.source if request else self._source
+        return request.source if request else self.node.source
 
     async def write(self, actuator: str, value: float | None, priority: int) -> None:
         """Write an actuator or relinquish it; errors as `NodeClient.write`, and `NodeLost` without a timely reply."""

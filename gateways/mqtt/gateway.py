@@ -409,11 +409,9 @@ class MqttGateway:
             self._clients.check(client, (received.actuator,))
             own_source = self._node.source_of(client)
             command = read_command(received.payload, priority=self._priority, source=own_source)
-            if self._clients.is_restricted or client:
-                command = command.model_copy(update={"source": own_name(own_source, command.source)})
             ack = await self._node.write(
                 received.actuator, command.value, priority=command.priority, duration_s=command.duration_s,
-                source=command.source,
+                source=own_name(own_source, command.source),
             )  # fmt: skip
         except asyncio.CancelledError:
             error = NodeLost("the gateway has ended before the node answered; the command may take effect")

@@ -121,7 +121,7 @@ async def served(
     port = free_udp_port()
     with open_session(connect=[endpoint]) as session:
         async with (
-            NodeClient(session, name) as node,
+            NodeClient(session, name, source="bacnet") as node,
             BacnetGateway(node, find_interface("127.0.0.1", port), instance=INSTANCE, clients=clients) as gateway,
             client(port) as reader,
         ):

@@ -95,7 +95,7 @@ def test_gateways__one_that_is_started_again_after_a_kill_relinquishes_what_the_
                     assert not client.write_registers(0, registers, device_id=1).isError()
             elif protocol == "mqtt":
                 until(lambda: broker.retained("zenostat/room/status") == "online", "it is online")
-                broker.publish("zenostat/room/actuator/compressor/set", '{"value": 500, "source": ""}')
+                broker.publish("zenostat/room/actuator/compressor/set", '{"value": 500, "source": "node-red"}')
                 until(lambda: commands(bus) != OTHERS, "it is commanded")
             else:
                 asyncio.run(_command_by_bacnet(port, 500.0, priority=8))
@@ -148,7 +148,7 @@ def test_mqtt__relinquishes_each_priority_and_source_and_is_offline(
             broker.publish(topic, '{"value": 700, "priority": 3, "source": "node-red"}')
             broker.publish(topic, '{"value": 600, "source": ""}')
             broker.publish(topic, '{"value": 500, "priority": 12}')
-            bus_has = {3: (700.0, "node-red"), 8: (600.0, "mqtt"), 12: (500.0, "mqtt")}
+            bus_has = {3: (700.0, "mqtt.node-red"), 8: (600.0, "mqtt"), 12: (500.0, "mqtt")}
             until(lambda: commands(bus) == [bus_has] * 2, "all are commanded")
             bus.write("room", "compressor", 900.0, priority=12, source="operator")  # it is not the gateway's any more
             broker.publish(topic, '{"value": 99999, "priority": 3, "source": "panel"}')  # rejected: the other one stays

@@ -82,6 +82,20 @@ async def test_gateways__commands_are_relinquished_although_one_of_them_cannot_b
     assert [arrays[name][7].value for name in names] == [24.0, None]
 
 
+async def test_gateways__commands_of_others_under_the_name_of_a_client_are_not_relinquished(episode_bus: Bus) -> None:
+    async with (
+        _client(episode_bus.endpoint, source="mqtt") as node,
+        _client(episode_bus.endpoint, source="mqtt2") as other,
+    ):
+        for value, client in ((26.0, node), (25.0, other)):
+            await client.write(COOLING, value, source="node-red")
+        assert (await node.relinquish_written()).count == 0
+        assert episode_bus.priorities("office")[COOLING][7] == (25.0, "mqtt2.node-red")
+        episode_bus.write("office", COOLING, 24.0, source="node-red")
+        assert (await other.relinquish_written()).count == 0
+    assert episode_bus.priorities("office")[COOLING][7] == (24.0, "node-red")
+
+
 @pytest.mark.slow
 async def test_gateways__node_in_lockstep_without_its_controller_ends_the_wait_for_a_step(episode_bus: Bus) -> None:
     episode_bus.pause("office")

@@ -108,7 +108,7 @@ def test_mqtt_gateway__commands_are_answered_and_carried_out(bus: Bus, served: R
         assert bus.priorities("office")[COOLING][7] == (26.5, "mqtt")
         broker.publish(topic, json.dumps({"value": 25.0, "priority": 3, "duration_s": 900, "source": "node-red"}))
         assert result(messages, 2)["accepted"]
-        assert bus.priorities("office")[COOLING][2] == (25.0, "node-red")
+        assert bus.priorities("office")[COOLING][2] == (25.0, "mqtt.node-red")
         bus.step("office")
         until(lambda: broker.retained(f"zenostat/office/actuator/{COOLING}") == "25.0", "it is in effect")
         broker.publish(topic, "")
@@ -405,7 +405,10 @@ def test_mqtt_gateway__example_sets_back_at_night(bus: Bus, served: RunningGatew
     command = [sys.executable, "-u", str(example), "--port", str(broker.port_v3)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
         assert program.stdout.readline() == "subscribed\n"
-        until(lambda: bus.step("office") or bus.priorities("office")[COOLING][7] == (28.0, "night_setback"), "at night")
+        until(
+            lambda: bus.step("office") or bus.priorities("office")[COOLING][7] == (28.0, "mqtt.night_setback"),
+            "at night",
+        )
         bus.resume("office")
         out, _ = program.communicate(timeout=60)
     assert program.returncode == 0
