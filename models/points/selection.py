@@ -306,8 +306,10 @@ def find_actuator(available: PointCatalog, name: str, component: str, control: s
 
 def actuator_bounds(building: Building, actuator: ActuatorPoint) -> tuple[float | None, float | None]:
     """Return an actuator's bounds: a thermostat's, its schedule's type limits, or those of its unit."""
-    if actuator.component_type == THERMOSTAT and (setpoints := setpoint_bounds(building, actuator.control_type)):
-        return setpoints
+    if actuator.component_type == THERMOSTAT:
+        setpoints = setpoint_bounds(building, actuator.control_type, actuator.key)
+        if setpoints is not None:
+            return setpoints
     if actuator.control_type == SCHEDULE_VALUE:
         schedule = building.find(actuator.component_type, actuator.key)
         bounds = building.find("ScheduleTypeLimits", str(schedule.get("schedule_type_limits_name", "")))

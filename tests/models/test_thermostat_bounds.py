@@ -1,4 +1,4 @@
-"""Default bounds of setpoints contain what the building's own schedules do, and never let heating above cooling."""
+"""Default bounds of setpoints: what the building's own schedules do, and never heating above cooling."""
 
 from pathlib import Path
 from typing import Any
@@ -7,16 +7,42 @@ import pytest
 
 from zenostat.lab.benchmark.definition import BUILDINGS
 from zenostat.lab.benchmark.observation import sensors
+from zenostat.models.building.conflicts import thermostat_setpoints
 from zenostat.models.building.model import Building, read_building
 from zenostat.models.catalog import bundled_buildings, find_building, find_weather
 from zenostat.models.points import discovery, selection
-from zenostat.models.points.thermostat_bounds import setpoint_bounds
+from zenostat.models.points.thermostat_bounds import _values, setpoint_bounds
 from zenostat.topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT, OCCUPANTS
 
+DUAL = "ThermostatSetpoint:DualSetpoint"
 
-def building(heating: dict[str, Any], **objects: dict[str, Any]) -> Building:
-    thermostat = {"heating_setpoint_temperature_schedule_name": "heat"}
-    return Building("a.epJSON", {"ThermostatSetpoint:DualSetpoint": {"t": thermostat}, **objects, **heating}, "")
+
+def thermostat(zone: str, setpoints: str, heating: str = "", cooling: str = "") -> dict[str, Any]:
+    """A zone's thermostat with a dual setpoint of this name."""
+    schedules = {"heating": heating, "cooling": cooling}
+    return {
+        "ZoneControl:Thermostat": {
+            f"{zone} thermostat": {
+                "zone_or_zonelist_name": zone, "control_1_object_type": DUAL, "control_1_name": setpoints,
+            }
+        },
+        DUAL: {setpoints: {f"{kind}_setpoint_temperature_schedule_name": name for kind, name in schedules.items()}},
+    }  # fmt: skip
+
+
+def building(schedules: dict[str, Any]) -> Building:
+    return Building("a.epJSON", {**thermostat("Hall", "t", heating="heat"), **schedules}, "")
+
+
+def constant_setpoints(**zones: tuple[float, float]) -> Building:
+    """A building whose zones have constant heating and cooling setpoints."""
+    objects: dict[str, Any] = {"ZoneControl:Thermostat": {}, DUAL: {}, "Schedule:Constant": {}}
+    for zone, setpoints in zones.items():
+        names = (f"{zone} heat", f"{zone} cool")
+        for kind, items in thermostat(zone, f"{zone} setpoints", *names).items():
+            objects[kind] |= items
+        objects["Schedule:Constant"] |= {n: {"hourly_value": v} for n, v in zip(names, setpoints, strict=True)}
+    return Building("a.epJSON", objects, "")
 
 
 YEAR_END = "Through: 12/31"
@@ -80,34 +106,53 @@ def week_compact(days: str) -> dict[str, Any]:
 def test_thermostat_bounds__heating_goes_down_to_the_lowest_scheduled_setpoint(
     schedule: dict[str, Any], expected: float
 ) -> None:
-    assert setpoint_bounds(building(schedule), HEATING_SETPOINT) == (expected, 22.5)
-    assert setpoint_bounds(building(schedule), COOLING_SETPOINT) == (22.5, 30.0)
-    assert setpoint_bounds(building(schedule), "Schedule Value") is None
+    assert setpoint_bounds(building(schedule), HEATING_SETPOINT, "HALL") == (expected, 22.5)
+    assert setpoint_bounds(building(schedule), COOLING_SETPOINT, "HALL") == (22.5, 30.0)
+    assert setpoint_bounds(building(schedule), "Schedule Value", "HALL") is None
+
+
+def test_thermostat_bounds__value_within_them_does_not_cross_the_zones_own_other_setpoint() -> None:
+    rooms = constant_setpoints(lab=(20.0, 22.2), theater=(16.0, 16.5), sauna=(28.0, 35.0), cold_room=(4.0, 6.0))
+
+    def bounds(zone: str) -> tuple[Any, Any]:
+        return tuple(setpoint_bounds(rooms, kind, zone) for kind in (HEATING_SETPOINT, COOLING_SETPOINT))
+
+    assert bounds("LAB") == ((15.0, 22.2), (22.5, 35.0))
+    assert bounds("THEATER") == ((15.0, 16.5), (22.5, 35.0))
+    assert bounds("SAUNA") == ((15.0, 22.5), (28.0, 35.0))
+    assert bounds("COLD_ROOM") == ((5.0, 6.0), (22.5, 35.0))
+    assert bounds("HALL") == ((15.0, 22.5), (22.5, 35.0))  # no thermostat that is known
 
 
 def test_thermostat_bounds__values_of_a_file_are_those_of_its_column(tmp_path: Path) -> None:
     path = tmp_path / "setpoints.csv"
     path.write_text("hour;heating\n" + "\n".join(f"7;{13.5 if hour == 50 else 20}" for hour in range(8760)))
     of_file = {"file_name": str(path), "column_number": 2, "rows_to_skip_at_top": 1, "column_separator": "Semicolon"}
-    assert setpoint_bounds(building({"Schedule:File": {"Heat": of_file}}), HEATING_SETPOINT) == (13.5, 22.5)
+    assert setpoint_bounds(building({"Schedule:File": {"Heat": of_file}}), HEATING_SETPOINT, "HALL") == (13.5, 22.5)
     path.unlink()
-    assert setpoint_bounds(building({"Schedule:File": {"Heat": of_file}}), HEATING_SETPOINT) == (15.0, 22.5)
+    assert setpoint_bounds(building({"Schedule:File": {"Heat": of_file}}), HEATING_SETPOINT, "HALL") == (15.0, 22.5)
 
 
 def test_thermostat_bounds__warehouse_can_be_heated_as_little_as_it_is() -> None:
     warehouse = read_building(find_building("ref-warehouse"))
-    assert setpoint_bounds(warehouse, HEATING_SETPOINT) == (7.2, 22.5)
-    assert setpoint_bounds(warehouse, COOLING_SETPOINT) == (22.5, 30.0)
+    assert setpoint_bounds(warehouse, HEATING_SETPOINT, "ZONE1 OFFICE") == (7.2, 22.5)
+    assert setpoint_bounds(warehouse, COOLING_SETPOINT, "ZONE1 OFFICE") == (22.5, 30.0)
 
 
 @pytest.mark.slow
-def test_thermostat_bounds__every_bundled_building_has_bounds_that_meet() -> None:
+def test_thermostat_bounds__no_zone_of_a_bundled_building_can_be_heated_above_a_cooling_setpoint() -> None:
     for entry in bundled_buildings():
-        heating, cooling = (
-            setpoint_bounds(read_building(entry), kind) for kind in (HEATING_SETPOINT, COOLING_SETPOINT)
-        )
-        assert heating is not None
-        assert 5.0 < heating[0] <= 15.0 < heating[1] == cooling[0] == 22.5 < 30.0 <= cooling[1] < 40.0, entry.name
+        of = read_building(entry)
+        scheduled: dict[str, dict[str, set[float]]] = {}
+        for zone, control, schedule in thermostat_setpoints(of.objects):
+            scheduled.setdefault(zone, {}).setdefault(control, set()).update(_values(of, schedule))
+        for zone, own in scheduled.items():
+            heating, cooling = (setpoint_bounds(of, kind, zone) for kind in (HEATING_SETPOINT, COOLING_SETPOINT))
+            assert heating is not None
+            assert cooling is not None
+            assert 5.0 < heating[0] <= 15.0 < heating[1] <= cooling[0] < 30.0 <= cooling[1] < 40.0, entry.name
+            assert heating[1] <= min(own.get("cooling setpoint", {22.5})), (entry.name, zone)
+            assert cooling[0] >= max(own.get("heating setpoint", {22.5})), (entry.name, zone)
 
 
 @pytest.mark.parametrize("name", BUILDINGS)
