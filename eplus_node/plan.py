@@ -37,7 +37,6 @@ from zenostat.topics import VERSION
 from zenostat.topics.calendar import parse_day
 from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName
 from zenostat.topics.fault_plan import FaultPlan, Loss
-from zenostat.topics.keys import check_name
 from zenostat.topics.messages import Aggregation, Manifest, Mode, Policy, Systems, Task, Versions
 from zenostat.topics.plurals import counted
 
@@ -81,7 +80,6 @@ def plan(config: NodeConfig, check_task: Callable[[Manifest], None] | None = Non
         InvalidConfig: invalid settings.
         ModelError: EnergyPlus cannot read the model.
     """
-    check_name(config.name, "the node's name")
     errors = ErrorCollector()
     scenario = scenario_of(config, errors)
     incomplete = bool(errors.errors)  # a missing or wrong name is an empty one, and an error already

@@ -57,6 +57,9 @@ class Node:
         namesake_warning: the latest warning that another node of the same name is on the bus; empty if none is.
         expiry_warning: the latest warning since its start that its certificate expires or has expired; empty if none.
 
+    Raises:
+        InvalidConfig: the node's name cannot be part of a key.
+
     Raises (on entering):
         UsageError, SimulatorError, BusError: see `zenostat.topics.errors`; everything that was started is closed.
     """
@@ -70,6 +73,7 @@ class Node:
         program: bool = False,
         finish_s: float = 0.0,
     ) -> None:
+        keys.check_name(settings.name, "the node's name")
         self.settings = settings
         self._prepare, self._observer, self._finish_s = prepare, observer, finish_s
         self._registry = EngineRegistry(settings.unresponsive_s)

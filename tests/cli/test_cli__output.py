@@ -62,6 +62,25 @@ def test_mistakes__are_named_before_anything_starts(scratch: Path, arguments: li
         assert word in error
 
 
+@pytest.mark.parametrize("name", ["a b", "-x", ".x", "a/b", "ä", "x" * 129, ""])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["node", *DAY],
+        ["node", "--plant", "tank.py:Tank"],
+        ["node", "--fmu", "tank.fmu"],
+        ["node", "--grid", "feeder.yaml"],
+    ],
+    ids=lambda command: command[1],
+)
+def test_node__name_that_cannot_be_in_a_key_is_refused_for_each_plant(
+    scratch: Path, command: list[str], name: str
+) -> None:
+    error = error_of(*command, f"--name={name}", cwd=scratch)
+    assert error.startswith(f"error: the node's name {name[:32]!r}"[:-1])
+    assert "is not valid in a topic: use up to 128 letters, digits, '_', '.' and '-'" in error
+
+
 def test_mistakes__a_program_ends_as_the_call_within_this_process(scratch: Path) -> None:
     call = ["node", *DAY, "--steps-per-hour", "7"]
     program, in_process = run_program(*call, cwd=scratch), run_in_process(*call, cwd=scratch)
