@@ -132,7 +132,7 @@ def progress() -> Iterator[Progress]:
 
 @contextmanager
 def until_signal() -> Iterator[threading.Event]:
-    """An event that Ctrl-C and SIGTERM set, for commands that shut down cleanly."""
+    """An event that `TERMINATION_SIGNALS` set, for commands that shut down cleanly."""
     stop = threading.Event()
     with override_signals(lambda *_: stop.set(), *TERMINATION_SIGNALS):
         yield stop

@@ -138,7 +138,7 @@ def serve(
     wait: bool,
     exclusive: Mapping[str, str] | None = None,
 ) -> None:
-    """Run a gateway of one node until Ctrl-C or SIGTERM; print a line that begins with `ready:`, and counts at the end.
+    """Run a gateway of one node until a signal; print a line that begins with `ready:`, and counts at the end.
 
     In the end it relinquishes the commands that its clients have written through it, and those that an earlier process
     of the same source has left.

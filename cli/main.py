@@ -8,13 +8,14 @@ import signal
 import sys
 from typing import Any, NoReturn
 
+from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, Terminated
+
 
 def main() -> NoReturn:
     """Run the command line; exit codes: 2 for a usage error, 1 for a runtime error, 128 + the signal's number."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in TERMINATION_SIGNALS:
         signal.signal(number, lambda number, _: os._exit(128 + number))  # nothing to clean up yet
     gc.set_threshold(100_000, 20, 100)  # what is imported stays; scanning it again and again took a tenth of a start
-    from zenostat.bridge.runtime.signals import Terminated
     from zenostat.cli.commands import app
     from zenostat.cli.failures import print_failure
 
@@ -23,8 +24,8 @@ def main() -> NoReturn:
 
     code: int | str | None = 0
     try:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        signal.signal(signal.SIGTERM, terminate)
+        for number in TERMINATION_SIGNALS:
+            signal.signal(number, signal.default_int_handler if number == signal.SIGINT else terminate)
         app()
     except KeyboardInterrupt:
         code = 130
@@ -32,7 +33,7 @@ def main() -> NoReturn:
         code = exit_.code
     except Exception as error:
         code = print_failure(error)
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in TERMINATION_SIGNALS:
         signal.signal(number, signal.SIG_IGN)  # everything is closed; a signal would only change the exit code
     sys.exit(code)
 

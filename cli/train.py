@@ -48,8 +48,8 @@ def train(
 
     Example: `zenostat train examples/train.yaml --seed 1 --output training/office-1`
 
-    Ctrl-C and SIGTERM write a checkpoint, with which `--resume` continues. `zenostat evaluate` and `zenostat run`
-    accept the folder of a training as a controller.
+    Ctrl-C, SIGTERM and SIGHUP write a checkpoint, with which `--resume` continues. `zenostat evaluate` and
+    `zenostat run` accept the folder of a training as a controller.
     """
     options = {"algorithm": algorithm, "scenario": scenario, "steps": steps, "slots": slots, "seed": seed}
     options["output"] = None if output is None else str(output)
@@ -113,7 +113,7 @@ def override_fields(fields: dict[str, Any], options: dict[str, Any], texts: Sequ
 
 @contextmanager
 def stop_signals() -> Iterator[tuple[threading.Event, list[int]]]:
-    """An event that Ctrl-C and SIGTERM set, and the signals received; a second Ctrl-C interrupts at once."""
+    """An event that `TERMINATION_SIGNALS` set, and the signals received; a second Ctrl-C interrupts at once."""
     stop, received = threading.Event(), list[int]()
 
     def handle(number: int, _: Any) -> None:

@@ -31,7 +31,8 @@ def receive_spec(orders: socket.socket, parent: int) -> dict[str, Any]:
     die_with_parent(parent)
     length = struct.unpack("<I", orders.recv(4, socket.MSG_WAITALL))[0]
     spec: dict[str, Any] = json.loads(orders.recv(length, socket.MSG_WAITALL))
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the node handles Ctrl-C
+    for number in (signal.SIGINT, signal.SIGHUP):  # the node handles Ctrl-C and a closed terminal
+        signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: leave(0))
     set_up_process(spec)
     return spec

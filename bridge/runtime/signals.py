@@ -8,8 +8,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-TERMINATION_SIGNALS = (signal.SIGINT, signal.SIGTERM)
-"""The signals of Ctrl-C and of `kill`."""
+_ENDS_WITH_TERMINAL = signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN
+TERMINATION_SIGNALS = (signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if _ENDS_WITH_TERMINAL else []))
+"""The signals of Ctrl-C, of `kill` and of a closed terminal, which a program that `nohup` has started outlives."""
 
 
 class Terminated(SystemExit):  # an outcome, as `SystemExit` is

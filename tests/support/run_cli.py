@@ -13,6 +13,7 @@ from typing import Any
 from unittest.mock import patch
 
 from support.nodes import SMALL
+from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS
 from zenostat.cli.main import main
 
 ZENOSTAT = (sys.executable, "-P", "-m", "zenostat.cli.main")
@@ -78,7 +79,7 @@ def plain(text: str) -> str:
 @contextmanager
 def _main_restored(*argv: str) -> Iterator[None]:
     """Restore what `main` changes in its process: the signals' handlers; give it these words."""
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {number: signal.getsignal(number) for number in TERMINATION_SIGNALS}
     before, sys.argv = sys.argv, list(argv)
     try:
         yield
