@@ -12,7 +12,7 @@ from support.run_cli import DAY, ZENOSTAT, error_of, plain, run_program
 
 @pytest.mark.slow
 @pytest.mark.variants
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_node__that_is_ended_while_it_starts_leaves_nothing(scratch: Path, number: signal.Signals) -> None:
     """It ends once its engine has begun, which takes EnergyPlus some tenths of a second."""
     command = [*ZENOSTAT, "node", *DAY, "--listen", f"tcp/127.0.0.1:{free_port()}", "--affinity", "off"]

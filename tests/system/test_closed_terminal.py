@@ -32,8 +32,7 @@ class Terminal:
 
         def enter() -> None:
             os.login_tty(other)
-            if ignored:
-                signal.signal(signal.SIGHUP, signal.SIG_IGN)
+            signal.signal(signal.SIGHUP, signal.SIG_IGN if ignored else signal.SIG_DFL)
 
         self.program = subprocess.Popen([*ZENOSTAT, *command], preexec_fn=enter)  # noqa: PLW1509  # for the terminal
         os.close(other)

@@ -188,7 +188,7 @@ def test_monitor__viewer_that_takes_nothing_is_noticed_and_the_file_is_whole(scr
 
 @pytest.mark.slow
 @pytest.mark.variants
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_monitor__reports_that_it_waits_for_its_bus_and_can_be_ended(scratch, number):
     command = [*ZENOSTAT, "monitor", "--save", "run.rrd"]
     command += ["--connect", f"tcp/127.0.0.1:{free_port()}"]

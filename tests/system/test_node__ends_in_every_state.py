@@ -32,7 +32,6 @@ NEVER: dict[str, Any] = {"unresponsive_s": 1e6}
 Shutdown = Callable[[NodeProgram, zenostat.Bus], None]
 SHUTDOWNS: dict[str, Shutdown] = {
     "SIGTERM": lambda node, _: os.kill(node.pid, signal.SIGTERM),
-    "SIGHUP": lambda node, _: os.kill(node.pid, signal.SIGHUP),
     "SIGINT": lambda node, _: os.kill(node.pid, signal.SIGINT),
     "stop": lambda node, bus: quietly(lambda: bus.stop("office")),
     "twice": lambda node, _: [os.kill(node.pid, signal.SIGTERM) for _ in range(2)],
