@@ -81,6 +81,7 @@ class LogBuilder:
         self._awaiting: LogEntry | None = None
         self._commands: dict[str, LogEntry] = {}
         self._latest: dict[str, LogEntry] = {}
+        self._place = 0
         self._senders: dict[str, tuple[str, str]] = {}
 
     def add_event(self, event: Event, time_ns: int) -> None:
@@ -136,6 +137,7 @@ class LogBuilder:
 
     def _add_command(self, name: str, payload: bytes, time_ns: int, simulated: str) -> None:
         fields = _fields(payload)
+        self._place = len(self._entries)
         latest = self._latest[name] = self._entry(time_ns, simulated, name, "command", _answer_text(fields))
         entry = self._commands.get(name)
         if entry is None or (entry.proven, entry.via) != (latest.proven, latest.via):
@@ -150,8 +152,9 @@ class LogBuilder:
         if entry.count == 1:
             return entry
         entry.count -= 1
-        self._entries.append(self._latest[entry.source])
-        return self._entries[-1]
+        latest = self._latest[entry.source]
+        self._entries.insert(self._place, latest)  # an alarm may have come between the command and its result
+        return latest
 
     def _add_request(self, topic: str, request: RecordedRequest, time_ns: int, simulated: str) -> None:
         _, kind, *names = topic.split("/")
@@ -176,8 +179,8 @@ class LogBuilder:
         return LogEntry(_utc(time_ns), simulated, source, kind, subject, proven=proven, via=via)
 
     def finish(self) -> tuple[LogEntry, ...]:
-        """Return all entries in the order of their times."""
-        return tuple(sorted(self._entries, key=lambda entry: entry.time))
+        """Return all entries in the order of the recording, which a clock that is set back does not change."""
+        return tuple(self._entries)
 
 
 def _utc(time_ns: int) -> datetime:
