@@ -45,6 +45,7 @@ _WRAP = 0xFFFFFFFF
 _CHUNK = struct.Struct("<BQQQQI")
 COMPRESSION = "zstd"
 _LEVEL = 3
+_BLOCK = 1 << 20
 
 
 class ChunkWriter:
@@ -67,7 +68,7 @@ class ChunkWriter:
 
     def __init__(self, descriptor: int, *, profile: str, library: str, written: Written | None = None) -> None:
         self._descriptor = descriptor
-        self.offset = self.messages = self.size = self.payload_bytes = self._chunk_payload_bytes = 0
+        self._checksum = self.offset = self.messages = self.size = self.payload_bytes = self._chunk_payload_bytes = 0
         self._parts: list[bytes] = []
         self._index: dict[int, list[int]] = {}
         self._start_ns = self._end_ns = 0
@@ -90,6 +91,9 @@ class ChunkWriter:
         self._chunks, self._attachments, self._metadata = written.chunks, written.attachments, written.metadata
         self._first_ns, self._last_ns = written.first_ns, written.last_ns
         self.messages, self.offset = written.messages, written.offset
+        for begin in range(0, self.offset, _BLOCK):
+            block = os.pread(self._descriptor, min(_BLOCK, self.offset - begin), begin)
+            self._checksum = zlib.crc32(block, self._checksum)
         os.ftruncate(self._descriptor, self.offset)
         os.lseek(self._descriptor, self.offset, os.SEEK_SET)
         self._write(written.missing_index)
@@ -105,6 +109,7 @@ class ChunkWriter:
                 os.ftruncate(self._descriptor, self.offset)
             raise
         self.offset += len(data)
+        self._checksum = zlib.crc32(data, self._checksum)
 
     def add_attachment(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Write an attachment."""
@@ -218,7 +223,7 @@ class ChunkWriter:
     def finish(self) -> None:
         """Write the present chunk and the summary; the file is then complete."""
         self.flush()
-        end = _record(DataEnd(data_section_crc=0))
+        end = _record(DataEnd(data_section_crc=self._checksum))
         summary_start = self.offset + len(end)
         groups: list[tuple[Opcode, list[McapRecord]]] = [
             (Opcode.SCHEMA, [*self._schemas.values()]),

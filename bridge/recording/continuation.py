@@ -26,6 +26,8 @@ from zenostat.bridge.recording.records import (
     Record,
     chunk_data,
     chunk_records,
+    completed_end,
+    has_later_chunk,
     is_cut_off,
     next_record,
 )
@@ -51,19 +53,24 @@ def read_written(path: Path) -> Written:
         is_over = False
         while not is_over and (record := next_record(file, written.size)) is not None:
             is_over = _add(written, record, file)
+        at = written.offset
         if is_over and record is not None and record.opcode in _COMPLETE:  # a completed file; its end is written again
-            return _checked(written)
-        written.dropped = written.size - written.offset
-        is_damaged = not is_cut_off(file, written.offset, written.size)
+            completed = completed_end(file, written.size)
+            file.seek(at)
+            if completed is None and not has_later_chunk(file.read()):
+                return _checked(written)
+            at = at if completed is None else completed[0]
+        written.dropped = written.size - at
+        is_damaged = not is_cut_off(file, at, written.size)
+    what = f"{path} {'is damaged' if at == written.offset else 'ends'}"
     if is_damaged and written.dropped > MAX_DROPPED:
         raise InvalidRecording(
-            f"{path} is damaged after byte {written.offset:,}, and {written.dropped:,} bytes follow, which going on "
-            "with it would drop"
+            f"{what} after byte {at:,}, and {written.dropped:,} bytes follow, which going on with it would drop"
         )
     if is_damaged:
         raise InvalidRecording(
-            f"{path} is damaged at byte {written.offset:,}, and complete data follow, which going on with it would "
-            f"overwrite; to go on from the damage, keep a copy, and cut the file: truncate -s {written.offset} {path}"
+            f"{what} at byte {at:,}, and complete data follow, which going on with it would overwrite; to go on from "
+            f"there, keep a copy, and cut the file: truncate -s {at} {path}"
         )
     return _checked(written)
 

@@ -22,10 +22,18 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from zenostat.bridge.recording.file import MAGIC, open_regular
-from zenostat.bridge.recording.records import MESSAGE, chunk_data, chunk_records, is_cut_off, next_record
+from zenostat.bridge.recording.records import (
+    MESSAGE,
+    chunk_data,
+    chunk_records,
+    completed_end,
+    is_cut_off,
+    next_record,
+)
 from zenostat.topics import codec, recording
 from zenostat.topics.errors import BadMessage, InvalidConfig, InvalidRecording
 from zenostat.topics.messages import SCHEMA_VERSION, Geometry, Manifest, Systems
+from zenostat.topics.plurals import counted
 from zenostat.topics.printable import replace_controls, replace_controls_in_lines
 
 _WRAP = 0xFFFFFFFF
@@ -53,9 +61,9 @@ class RecordingEnd:
     """End of a recording, known once it has been read to its end.
 
     Attributes:
-        is_complete: whether the recorder completed the file.
-        text: why it is not complete, or why the recording ended early; empty if neither.
-        is_damaged: whether the content before its end is damaged, and not only cut off.
+        is_complete: whether the recorder completed the file, and all messages were read.
+        text: why it is not complete, why the recording ended early, or what is damaged; empty if it is whole.
+        is_damaged: whether the file is damaged, and not only cut off; if it is complete, its messages are not.
     """
 
     is_complete: bool = False
@@ -126,14 +134,14 @@ class RecordingReader:
             raise InvalidRecording(f"{self.path} {what}; expected a recording of `zenostat node --record`")
         self.about: dict[str, str] = {}
         attached: dict[str, bytes] = {}
-        position = self._file.tell()
+        position, self._checksum = self._file.tell(), zlib.crc32(magic)
         while (record := next_record(self._file, self._size)) is not None:
             opcode, body = record
             is_summary = opcode == Opcode.METADATA and self.about  # of a recording without messages
             if opcode in (Opcode.CHUNK, Opcode.DATA_END) or is_summary:
                 break
             self._read_head_record(opcode, body, attached)
-            position = self._file.tell()
+            position, self._checksum = self._file.tell(), record.checksum(self._checksum)
         self._begin, self.attachments = position, attached
         if not self.about or recording.PROVENANCE not in attached:
             how = "ends" if is_cut_off(self._file, position, self._size) else f"is damaged at byte {position:,},"
@@ -196,7 +204,7 @@ class RecordingReader:
         self._file.seek(self._begin)
         channels: dict[int, tuple[str, str] | None] = {}
         names: dict[int, str] = {}
-        expected = 0
+        expected, checksum = 0, self._checksum
         while True:
             at = self._file.tell()
             record = next_record(self._file, self._size)
@@ -204,6 +212,10 @@ class RecordingReader:
                 self._describe_early_end(at)
                 return
             opcode, body = record
+            if opcode == Opcode.DATA_END:
+                self._read_end(at, is_intact=int.from_bytes(body, "little") in (0, checksum))
+                return
+            checksum = record.checksum(checksum)
             if opcode == Opcode.CHUNK:
                 try:
                     data = chunk_data(body)
@@ -225,12 +237,22 @@ class RecordingReader:
                 _read_summary(body, at, expected, end)
                 if end.is_damaged:
                     return
-            elif opcode == Opcode.DATA_END:
-                self._file.seek(-len(MAGIC), io.SEEK_END)
-                end.is_complete = bool(end.metadata) and self._file.read() == MAGIC
-                if not end.is_complete:
-                    self._describe_early_end(at)
-                return
+
+    def _read_end(self, at: int, *, is_intact: bool) -> None:
+        """Read the end of the file, of which the data end at byte `at`; `is_intact`: their checksum matches."""
+        completed = completed_end(self._file, self._size)
+        if completed is None or not self.end.metadata:
+            self._describe_early_end(at)
+            return
+        self.end.is_complete = True
+        end, is_summary_intact = completed
+        if end < self._size:
+            foreign = counted(self._size - end, "byte", ",")
+            self.end.text, self.end.is_damaged = f"{foreign} after its end at byte {end:,}, not part of it", True
+        elif not (is_intact and is_summary_intact):
+            part = "summary" if is_intact else "data section"
+            self.end.text = f"the checksum of its {part} does not match, but all messages are intact"
+            self.end.is_damaged = True
 
     def _cut(
         self,

@@ -23,6 +23,8 @@ MESSAGE = struct.Struct("<HIQQ")
 """Head of a message: channel, sequence, log time, publish time; its payload follows."""
 
 _HEAD = struct.Struct("<BQ")
+_FOOTER_SIZE = 20
+"""Bytes of the content of a footer, of which the last four are the checksum of the summary section and the rest."""
 _MAX_CHUNK = 1 << 30
 _MAX_ATTEMPTS = 1000
 _MARK = struct.pack("<I", len(COMPRESSION)) + COMPRESSION.encode()
@@ -41,6 +43,10 @@ class Record(NamedTuple):
         """Number of bytes in the file."""
         return _HEAD.size + len(self.body)
 
+    def checksum(self, before: int) -> int:
+        """Return the CRC-32 of what precedes the record, `before`, and the record."""
+        return zlib.crc32(self.body, zlib.crc32(_HEAD.pack(self.opcode, len(self.body)), before))
+
 
 def next_record(file: BinaryIO, size: int) -> Record | None:
     """Return the next record; None if the file, of `size` bytes, ends before it is complete, or has no record there."""
@@ -51,6 +57,26 @@ def next_record(file: BinaryIO, size: int) -> Record | None:
     if not opcode or length > size - file.tell():  # a file that lost its power may end in zeros
         return None
     return Record(opcode, file.read(length))
+
+
+def completed_end(file: BinaryIO, size: int) -> tuple[int, bool] | None:
+    """Read a file, of `size` bytes, from behind its data to its end, as the recorder writes it.
+
+    Returns:
+        Where it ends, and whether the checksum of its summary section matches; None if there is no such end.
+    """
+    checksum = 0
+    while (record := next_record(file, size)) is not None and record.opcode != Opcode.CHUNK:
+        if record.opcode == Opcode.DATA_END:
+            checksum = 0  # the summary section begins
+        elif record.opcode == Opcode.FOOTER and len(record.body) == _FOOTER_SIZE:
+            head, expected = record.body[:-4], int.from_bytes(record.body[-4:], "little")
+            checksum = zlib.crc32(head, zlib.crc32(_HEAD.pack(record.opcode, _FOOTER_SIZE), checksum))
+            has_end = file.read(len(MAGIC)) == MAGIC
+            return (file.tell(), checksum == expected) if has_end else None
+        else:
+            checksum = record.checksum(checksum)
+    return None
 
 
 def chunk_data(body: bytes) -> bytes:
@@ -87,10 +113,10 @@ def is_cut_off(file: BinaryIO, offset: int, size: int) -> bool:
         return False
     file.seek(offset)
     rest = file.read(size - offset)
-    return not (rest.endswith(MAGIC) or _has_later_chunk(rest))
+    return not (rest.endswith(MAGIC) or has_later_chunk(rest))
 
 
-def _has_later_chunk(data: bytes) -> bool:
+def has_later_chunk(data: bytes) -> bool:
     """Return whether there is a chunk that is not damaged anywhere after the first byte."""
     attempts, mark = 0, data.find(_MARK, _BEFORE_MARK + 1)
     while mark >= 0 and attempts < _MAX_ATTEMPTS:

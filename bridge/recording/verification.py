@@ -86,8 +86,9 @@ class Verification:
         tolerance: greatest absolute difference that is accepted; None: all values are equal to the bit.
         skipped: what could not be verified, and why.
         notes: what differs from the recording's software, model and weather.
-        end: why the recording ends early; empty if it does not.
-        is_damaged: whether the file is damaged, and could be verified only up to there.
+        end: why the recording ends early, or what is damaged; empty if it is whole.
+        is_damaged: whether the file is damaged.
+        is_complete: whether the file is completed, so that its messages are verified also if it is damaged.
         audit: the chain of the audit log.
     """
 
@@ -102,6 +103,7 @@ class Verification:
     notes: list[str] = field(default_factory=list)
     end: str = ""
     is_damaged: bool = False
+    is_complete: bool = False
     audit: AuditResult = field(default_factory=AuditResult)
 
     @property
@@ -117,13 +119,15 @@ class Verification:
         )
         if self.difference is not None:
             return f"different after {compared}: {self.difference}"
-        end = f"; the recording ends early: {self.end}" if self.end else ""
+        is_cut = self.is_damaged and not self.is_complete
+        what = "the file is damaged" if self.is_damaged and self.is_complete else "the recording ends early"
+        end = f"; {what}: {self.end}" if self.end else ""
         if not self.episodes:
             return f"nothing could be verified{end}"
         if not self.steps and self.tolerance is None:
             compared = f"the first sample of {counted(self.episodes, 'episode')}, after which there is no timestep"
         if self.tolerance is None:
-            return f"identical{' up to the damage' if self.is_damaged else ''}: {compared}{end}"
+            return f"identical{' up to the damage' if is_cut else ''}: {compared}{end}"
         above = [name for name, value in self.greatest.items() if not value <= self.tolerance]
         within = f"{len(above)} of {len(self.greatest)} differ by more than" if above else "all are within"
         return f"compared: {compared}; {within} {self.tolerance:g}{end}"
@@ -225,7 +229,7 @@ class Verifier:
             if result.difference is not None and result.tolerance is None:
                 return result
         end = self._reader.end
-        result.is_damaged, result.end = end.is_damaged, end.text
+        result.is_damaged, result.is_complete, result.end = end.is_damaged, end.is_complete, end.text
         if self._unknown_samples:
             result.skipped.insert(
                 0, f"{self._unknown_samples:,} samples of episodes whose start is not in the recording"

@@ -1,11 +1,13 @@
 """A recorder goes on with a file that ended anywhere: what was complete stays, and the whole is one recording."""
 
+import io
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap.stream_reader import StreamReader
 from support.recordings import chunk_ends, damaged_heads, new_recorder, record_samples
 
 from zenostat.bridge.recording.audit_chain import check_audit
@@ -78,6 +80,7 @@ def test_recorder__goes_on_with_a_file_that_ended_anywhere(seed: int, complete: 
         messages = list(make_reader(file).iter_messages(topics=["zenostat/v3/office/sample"]))
     assert summary.statistics.message_count == sum(summary.statistics.channel_message_counts.values())
     assert [int.from_bytes(message.data[:4], "little") for _, _, message in messages] == [*before, *range(60, 70)]
+    assert list(StreamReader(io.BytesIO(path.read_bytes()), validate_crcs=True).records)
 
 
 def test_recording__first_chunk_decides_whether_there_is_anything_to_go_on_with(complete: Path, scratch: Path) -> None:
@@ -126,6 +129,39 @@ def test_recording__damage_in_the_last_chunk_of_a_complete_file_is_told(complete
     path.write_bytes(data)
     with pytest.raises(InvalidRecording, match="complete data follow"):
         read_written(path)
+
+
+@pytest.mark.parametrize("chunks", [1, 2, None])
+def test_recording__another_recording_behind_its_end_is_not_overwritten(
+    complete: Path, scratch: Path, chunks: int | None
+) -> None:
+    data, path = complete.read_bytes(), scratch / "both.mcap"
+    for first in (data, data[:-100]):  # also of a node that was killed while it completed the file
+        path.write_bytes(first + (data if chunks is None else data[: chunk_ends(complete)[chunks - 1]]))
+        with pytest.raises(InvalidRecording, match=r"(ends|damaged) at byte [\d,]+, and complete data follow"):
+            read_written(path)
+
+
+def test_recording__what_is_behind_its_end_and_no_recording_is_dropped_and_counted(
+    complete: Path, scratch: Path
+) -> None:
+    data, path = complete.read_bytes(), scratch / "longer.mcap"
+    path.write_bytes(data + b"hello\n")
+    assert read_written(path).dropped == 6
+    path.write_bytes(data + bytes(MAX_DROPPED + 1))
+    with pytest.raises(InvalidRecording, match=rf"ends after byte {len(data):,}, and [\d,]+ bytes follow"):
+        read_written(path)
+
+
+def test_recording__damaged_summary_is_written_again(complete: Path, scratch: Path) -> None:
+    data, path = bytearray(complete.read_bytes()), scratch / "damaged.mcap"
+    data[-100] ^= 1
+    path.write_bytes(data)
+    record(path, range(60, 62), goes_on=True)
+    with RecordingReader(path) as reader:
+        assert list(reader.messages())
+    assert (reader.end.is_complete, reader.end.text) == (True, "")
+    assert numbers_in(path) == [*range(62)]
 
 
 def test_recording__damaged_opcode_or_length_is_never_overwritten(scratch: Path) -> None:

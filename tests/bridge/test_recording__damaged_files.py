@@ -61,7 +61,42 @@ def test_recording__changed_byte_is_never_read_as_a_message(whole: Path, place: 
     with suppress(InvalidRecording):
         steps, reader = read(path)
         assert steps == [*range(len(steps))]  # a prefix, each as it was
-        assert len(steps) == SAMPLES or reader.end.text
+        assert reader.end.text
+        assert len(steps) == SAMPLES or not reader.end.is_complete
+
+
+def test_recording__damaged_summary_or_index_is_named_and_all_messages_are_read(whole: Path, tmp_path: Path) -> None:
+    parts = {"summary": Opcode.STATISTICS, "data section": Opcode.MESSAGE_INDEX}
+    for part, opcode in parts.items():
+        data = bytearray(whole.read_bytes())
+        data[next(end for kind, _, end in records(whole) if kind == opcode) - 2] ^= 1
+        (tmp_path / "damaged.mcap").write_bytes(data)
+        steps, reader = read(tmp_path / "damaged.mcap")
+        assert steps == [*range(SAMPLES)]
+        assert (reader.end.is_complete, reader.end.is_damaged) == (True, True)
+        assert reader.end.text == f"the checksum of its {part} does not match, but all messages are intact"
+
+
+def test_recording__file_of_an_earlier_release_has_no_checksum_of_its_data(whole: Path, tmp_path: Path) -> None:
+    data = bytearray(whole.read_bytes())
+    end = next(end for opcode, _, end in records(whole) if opcode == Opcode.DATA_END)
+    assert any(data[end - 4 : end])
+    data[end - 4 : end] = bytes(4)
+    (tmp_path / "earlier.mcap").write_bytes(data)
+    steps, reader = read(tmp_path / "earlier.mcap")
+    assert steps == [*range(SAMPLES)]
+    assert (reader.end.is_complete, reader.end.text) == (True, "")
+
+
+@pytest.mark.parametrize("kind", ["bytes", "another recording", "the beginning of another recording"])
+def test_recording__what_follows_its_end_is_named(whole: Path, tmp_path: Path, kind: str) -> None:
+    data = whole.read_bytes()
+    more = {"bytes": b"hello\n", "another recording": data}.get(kind, data[: chunk_ends(whole)[1]])
+    (tmp_path / "longer.mcap").write_bytes(data + more)
+    steps, reader = read(tmp_path / "longer.mcap")
+    assert steps == [*range(SAMPLES)]
+    assert (reader.end.is_complete, reader.end.is_damaged) == (True, True)
+    assert reader.end.text == f"{len(more):,} bytes after its end at byte {len(data):,}, not part of it"
 
 
 def test_recording__damaged_chunk_is_named_and_what_is_before_it_is_read(whole: Path, tmp_path: Path) -> None:

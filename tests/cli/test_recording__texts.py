@@ -63,6 +63,9 @@ def test_verify_text__does_not_call_a_damaged_file_identical() -> None:
     assert not result.passed
     result.end = "messages are missing before byte 900; what is before it is read"
     assert str(result).endswith("10 actuators; the recording ends early: " + result.end)
+    result.is_complete, result.end = True, "6 bytes after its end at byte 900, not part of it"
+    assert str(result) == "identical: 477 steps, 40 points, 10 actuators; the file is damaged: " + result.end
+    assert not result.passed
 
 
 @pytest.mark.parametrize(
