@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zenostat.cli.console import out
+from zenostat.topics.printable import replace_controls_in_lines
 
 if TYPE_CHECKING:
     from zenostat.views.report import Comparison
@@ -64,5 +65,5 @@ class ReportOutputs:
 
 
 def command_line() -> str:
-    """Return the command line of this program, quoted for a shell."""
-    return shlex.join(["zenostat", *sys.argv[1:]])
+    """Return the command line of this program, quoted for a shell, with U+FFFD for what is not UTF-8 in it."""
+    return replace_controls_in_lines(shlex.join(["zenostat", *sys.argv[1:]]))

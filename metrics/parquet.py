@@ -32,10 +32,10 @@ def write_table(
     schema = arrow.schema(fields, metadata=metadata)
     floats = [name for name, values in table.items() if values.dtype.kind == "f"]
     others = [name for name in table if name not in floats]
-    with atomic_file(path) as temporary:
+    with atomic_file(path) as temporary, temporary.open("wb") as file:  # pyarrow takes only names in UTF-8
         parquet.write_table(
             arrow.Table.from_arrays(columns, schema=schema),
-            str(temporary),
+            file,
             compression="zstd",
             use_dictionary=others,
             use_byte_stream_split=floats,

@@ -29,6 +29,7 @@ from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidRecording
 from zenostat.topics.extras import import_extra
 from zenostat.topics.messages import Event, EventKind
+from zenostat.topics.printable import replace_controls
 from zenostat.topics.recording import MANIFEST, SCENARIO
 
 _FEATURE = "an MCAP file with protobuf messages"
@@ -71,8 +72,8 @@ def write_mcap(recording: Recording, path: str | Path) -> None:
     with atomic_file(Path(path)) as temporary, temporary.open("wb") as file:
         writer = mcap_writer.Writer(file)
         writer.start(profile="", library=f"zenostat {VERSION}")
-        manifest = recording.manifest
-        about = {"node": manifest.node, "building": manifest.building, "recording": recording.path.name}
+        manifest, name = recording.manifest, replace_controls(recording.path.name)  # which need not be UTF-8
+        about = {"node": manifest.node, "building": manifest.building, "recording": name}
         writer.add_metadata("zenostat", about)
         writer.add_attachment(0, 0, MANIFEST, "application/json", manifest.model_dump_json(indent=1).encode())
         writer.add_attachment(0, 0, SCENARIO, "application/yaml", recording.scenario.encode())

@@ -1,6 +1,8 @@
 """A recording in the formats of other programs: the monitor's, and MCAP with protobuf messages."""
 
 import math
+import os
+import shutil
 from collections import defaultdict
 from pathlib import Path
 from types import SimpleNamespace
@@ -173,6 +175,21 @@ def test_recording__names_of_the_points_are_in_the_metadata(watched: Any, scratc
     assert channel.metadata["name.zone_1_temperature"] == "zone-1.temperature"
     assert channel.metadata["unit.zone_1_temperature"] == old.unit
     assert decoded.zone_1_temperature == loaded.episodes[2].values[0, 0]
+
+
+@pytest.mark.slow
+def test_recording__name_of_the_file_need_not_be_utf_8(watched: Any, scratch: Path) -> None:
+    file = scratch / os.fsdecode(b"b\xfcro.mcap")  # in ISO 8859-1
+    shutil.copyfile(watched.path, file)
+    for to, suffix in (("mcap", ".plot.mcap"), ("parquet", ".parquet"), ("csv", ".csv"), ("rrd", ".rrd")):
+        assert run("export", str(file), "--to", to).returncode == 0
+        assert file.with_suffix(suffix).stat().st_size > 0
+    with file.with_suffix(".plot.mcap").open("rb") as exported:
+        about = next(each for each in make_reader(exported).iter_metadata() if each.name == "zenostat")
+    assert about.metadata["recording"] == "b\N{REPLACEMENT CHARACTER}ro.mcap"
+    report = scratch / "report.html"
+    assert run("report", str(file), "--out", str(report)).returncode == 0
+    assert "b\N{REPLACEMENT CHARACTER}ro.mcap" in report.read_text(encoding="utf-8")
 
 
 @pytest.mark.slow

@@ -25,6 +25,7 @@ from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig, InvalidRecording
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.messages import Flag, Manifest
+from zenostat.topics.printable import replace_controls
 from zenostat.views.report.runs import Comparison, Run
 
 if TYPE_CHECKING:
@@ -202,7 +203,7 @@ def _names(results: Sequence[_Result]) -> list[str]:
     for result in results:
         node, stem = result.manifest.node, result.path.stem
         name = node if nodes.count(node) == 1 else stem if stems.count(stem) == 1 else str(result.path)
-        names.append(_BASELINE if result.is_parallel else name)
+        names.append(_BASELINE if result.is_parallel else replace_controls(name))
     return names
 
 
