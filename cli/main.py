@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import io
 import os
 import signal
 import sys
@@ -22,6 +23,8 @@ def main() -> NoReturn:
     def terminate(number: int, _: Any) -> NoReturn:
         raise Terminated(128 + number)  # lets `with` blocks clean up
 
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # a locale that is not UTF-8 lacks m², … and some names
     code: int | str | None = 0
     try:
         for number in TERMINATION_SIGNALS:

@@ -92,6 +92,14 @@ def test_mistakes__a_program_ends_as_the_call_within_this_process(scratch: Path)
     assert in_process.returncode == 2
 
 
+def test_output__characters_that_the_locale_lacks_are_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}.items():
+        monkeypatch.setenv(name, value)
+    done = run_program("buildings")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "m?" in done.stdout.splitlines()[0]
+
+
 def test_monitor__without_a_display_names_the_alternatives(scratch: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
