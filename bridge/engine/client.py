@@ -34,6 +34,11 @@ _MAX_ORDERED_FORKS = 8
 """Forks ordered at a time: their sockets are in transit until the engine receives them."""
 _FINISH_TIMEOUT_S = 30.0
 _EXIT_TIMEOUT_S = 5.0
+_ORDERS = {
+    OrderKind.RESET: "begin an episode",
+    OrderKind.SAVE: "save its state",
+    OrderKind.RESTORE: (_RESTORE := "restore a state"),
+}
 _FAILED, _LAST, _WARNING = float(FrameKind.FAILED), float(FrameKind.LAST), float(FrameKind.WARNING)
 
 
@@ -62,7 +67,8 @@ class EngineClient:
         self._step = struct.pack("=dd", OrderKind.STEP, 0.0)
         self.last = False
         self.warnings: list[str] = []
-        self._interrupted = ""
+        self._interrupted = self._unresponsive = ""
+        self._order = _RESTORE if spec.state else ""  # that it has not answered, other than to step
         self._closing_until_s = 0.0
         if forked is None:
             self.registry.check_open()
@@ -175,7 +181,7 @@ class EngineClient:
         try:
             send_all(self._orders, self._repeat, self._watchdog())
         except ConnectionError:
-            raise EngineDied(self._exit_report()) from None
+            raise self._exit_error() from None
         self.receive()
 
     def save(self, path: Path) -> None:
@@ -188,17 +194,19 @@ class EngineClient:
         self._send_text(OrderKind.SAVE, path=str(path))
         raw = bytearray(PROCESS_ID.size)
         if not fill(self._frames, memoryview(raw), self._watchdog()):
-            raise EngineDied(self._exit_report())
+            raise self._exit_error()
+        self._order = ""
         if PROCESS_ID.unpack(raw)[0] != 0:
             raise ForkFailed(path.read_text(errors="replace"))
 
     def _send_text(self, kind: OrderKind, **fields: Any) -> None:
+        self._order = _ORDERS[kind]
         text = json.dumps(fields).encode()
         order = struct.pack("=dd", kind, len(text)) + bytes(self._order_bytes)
         try:
             send_all(self._orders, order + text, self._watchdog())
         except ConnectionError:
-            raise EngineDied(self._exit_report()) from None
+            raise self._exit_error() from None
 
     def _forked_pid(self, frames: socket.socket) -> int:
         """Return the process id of the ordered fork, from this engine or from the fork; raise as `fork` does."""
@@ -212,7 +220,7 @@ class EngineClient:
             raise ForkFailed(f"cannot fork an engine of {self.rss_bytes / 1e6:.0f} MB: {reason}")
         pid = read_process_id(frames, self._watchdog(reply)) or reply
         if not pid:
-            raise EngineDied(self._exit_report())
+            raise self._exit_error()
         return pid
 
     @property
@@ -292,7 +300,7 @@ class EngineClient:
         """
         got, size = self._polling.wait(self._try_read, self._read), len(self._frame_bytes)
         if got < size and not (got and fill(self._frames, self._frame_bytes[got:], self._watchdog())):
-            raise EngineDied(self._exit_report())
+            raise self._exit_error()
         kind = self.frame.kind
         if kind == _FAILED:
             raise self._failure(self.frame.number)
@@ -300,6 +308,7 @@ class EngineClient:
             self.warnings.append(self._receive_text(self.frame.number))
             self.receive()
             return
+        self._order = ""
         self.last = kind == _LAST
         if self._placement is not None:
             self._placement.count(self._process.pid)
@@ -342,10 +351,13 @@ class EngineClient:
                 return
             process.kill()
             process.wait()
-            raise EngineUnresponsive(
-                f"the engine process neither answered nor used processor time for {limit_s:g} s after sample "
-                f"{self.frame.number}, and was killed"
-            )
+            answered = f"answered the order to {self._order}" if self._order else "answered"
+            sample = "" if self._order == _RESTORE else f" after sample {self.frame.number}"
+            idle = f"neither {answered} nor used processor time for {limit_s:g} s{sample}"
+            text = f"the engine process {idle}, and was killed"
+            if not pid:
+                self._unresponsive = text
+            raise EngineUnresponsive(text)
 
         return check
 
@@ -359,14 +371,14 @@ class EngineClient:
         except BlockingIOError:
             send_all(self._orders, order, self._watchdog())
         except (BrokenPipeError, ConnectionResetError):
-            raise EngineDied(self._exit_report()) from None
+            raise self._exit_error() from None
 
     def send_several(self, rows: Iterable[bytes]) -> None:
         """Order several timesteps; as `send`. The engine must have room for them: see `EngineGroup.run`."""
         try:
             send_all(self._orders, b"".join([self._step + row for row in rows]), self._watchdog())
         except (BrokenPipeError, ConnectionResetError):
-            raise EngineDied(self._exit_report()) from None
+            raise self._exit_error() from None
 
     def end(self, *, failed: bool) -> None:
         """End the run. If its output is kept and it has not failed, let the simulator finish its files."""
@@ -412,8 +424,10 @@ class EngineClient:
         self._exit_code()
         return self._spec.program.failure(text, self._spec.folder)
 
-    def _exit_report(self) -> str:
+    def _exit_error(self) -> EngineDied:
         code = self._exit_code()
+        if self._unresponsive:
+            return EngineUnresponsive(self._unresponsive)
         if self._interrupted:
-            return f"the engine process was killed because {self._interrupted}"
-        return describe_exit(self._spec, code, self.frame.number)
+            return EngineDied(f"the engine process was killed because {self._interrupted}")
+        return EngineDied(describe_exit(self._spec, code, self.frame.number))

@@ -49,6 +49,7 @@ class EngineSpec:
         branch: end the process at its last sample, without the simulator's own end of run.
         replaced_file: for a fork that continues to read another file: the file, the other one, and the offset up to
             which they are equal.
+        state: for a new process: the file with the state in which it begins, from `EngineClient.save`.
         forecast_error: for a fork that simulates a weather forecast: errors of the outdoor temperature, K.
     """
 
@@ -64,11 +65,12 @@ class EngineSpec:
     close_s: float = 0.0
     branch: bool = False
     replaced_file: tuple[str, str, int] | None = None
+    state: Path | None = None
     forecast_error: tuple[float, ...] = ()
 
     def fields(self) -> dict[str, Any]:
         """Return the fields that the engine reads first."""
-        return {**self.run, **self.fork_fields()}
+        return {**self.run, **self.fork_fields(), "state": self.state and str(self.state)}
 
     def fork_fields(self) -> dict[str, Any]:
         """Return the fields that may differ in a fork."""

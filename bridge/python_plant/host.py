@@ -69,7 +69,7 @@ class PlantHost:
     Args:
         orders: the socket on which the node's orders arrive.
         frames: the socket to which frames are sent.
-        spec: the fields of an `EngineSpec`; its run has `plant`, `arguments`, the points, and `seed` or `state`.
+        spec: the fields of an `EngineSpec`; its run has `plant`, `arguments`, the points, and `seed`.
     """
 
     def __init__(self, orders: socket.socket, frames: socket.socket, spec: dict[str, Any]) -> None:
@@ -94,7 +94,7 @@ class PlantHost:
         try:
             self._plant = self._call("__init__", create, self._spec["plant"], self._spec["arguments"])
             self._warns = callable(getattr(self._plant, "drain_warnings", None))
-            if self._spec.get("state"):
+            if self._spec["state"]:
                 self._restore(Path(self._spec["state"]))
             else:
                 self._reset(self._spec["seed"])

@@ -99,7 +99,7 @@ class PythonEngines(EngineGroup, PlantDefaults):
         else:
             state = folder / "state.pickle"
             client.save(state)
-            copy = EngineClient(replace(spec, run={**spec.run, "state": str(state)}), registry=client.registry)
+            copy = EngineClient(replace(spec, state=state), registry=client.registry)
         _receive(copy)
         return copy
 

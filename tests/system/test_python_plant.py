@@ -132,6 +132,14 @@ class Forkable(Tank):
 class Neither(Tank):
     save = restore = None
 
+class HangingSave(Tank):
+    def save(self):
+        time.sleep(1e6)
+
+class HangingRestore(Tank):
+    def restore(self, state):
+        time.sleep(1e6)
+
 class NoActuators(Neither):
     actuators = {}
     step_s = 0.1
@@ -500,6 +508,30 @@ def test_python_plant__class_that_cannot_be_copied_states_what_it_lacks(own: Bui
     until(lambda: len(hosts_of(own.local_node.pid)) == 1, "the copy has ended")
     with pytest.raises(EngineDied):
         own.step(action(deed="kill"))
+
+
+@pytest.mark.slow
+def test_python_plant__save_that_hangs_ends_the_episode_with_its_reason(own: BuildingEnv, tank: Path) -> None:
+    reason = r"neither answered the order to save its state nor used processor time for 2 s after sample 1, and was"
+    for env in plant_env(f"{tank}:HangingSave"):
+        env.reset(seed=1)
+        env.step(action())
+        with pytest.raises(EngineUnresponsive, match=rf"trial from step 1: the engine process {reason} killed"):
+            env.try_step([action()])
+        with pytest.raises(EngineUnresponsive, match=rf"^the engine process {reason} killed"):
+            env.step(action())
+        env.reset(seed=1)
+        assert trajectory(env, 2) == calculated(1, 2)
+
+
+@pytest.mark.slow
+def test_python_plant__restore_that_hangs_is_named_and_the_episode_continues(own: BuildingEnv, tank: Path) -> None:
+    for env in plant_env(f"{tank}:HangingRestore"):
+        env.reset(seed=1)
+        beginning = trajectory(env, 1)
+        with pytest.raises(EngineUnresponsive, match="the order to restore a state nor used processor time for 2 s, "):
+            env.snapshot()
+        assert beginning + trajectory(env, 1) == calculated(1, 2)
 
 
 # Starting
