@@ -180,20 +180,23 @@ class PlantSet:
         for block in topology.loops:
             for name in block.plants:
                 location = self.file.connections[block.solved[0]].location
-                self._check_copy(name, location, f"loop {block.name!r} cannot be solved by trials", errors)
+                text = f"loop {block.name!r} cannot be solved by trials"
+                self._check_copy(name, location, text, "`delay: 1` in place of `solve`", errors)
         for name, spec in self.file.spec.plants.items():
             if spec.market is not None and spec.market.bids is Bids.TRIALS:
                 for number, bidder in enumerate(spec.market.bidders):
                     location = ("plants", name, "market", "bidders", number)
                     text = f"the bids of {name!r} are trials"
-                    self._check_copy(bidder.demand.partition(".")[0], location, text, errors)
+                    self._check_copy(bidder.demand.partition(".")[0], location, text, "`bids: linear`", errors)
         errors.raise_if_any()
 
-    def _check_copy(self, name: str, location: Sequence[str | int], text: str, errors: FileErrors) -> None:
+    def _check_copy(
+        self, name: str, location: Sequence[str | int], text: str, alternative: str, errors: FileErrors
+    ) -> None:
         try:
             self._plants[name].check_copy()
         except ForkFailed as error:
-            errors.add(location, f"{text}: plant {name!r}: {error}")
+            errors.add(location, f"{text}: plant {name!r}: {error}; {alternative} needs no trials")
 
     def guarded(self, *, repeat: bool = False) -> dict[str, GuardedPlant]:
         """Return the plants with their reaction to a loss.

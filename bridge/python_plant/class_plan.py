@@ -46,6 +46,7 @@ class ClassPlan:
         forkable, has_state: whether it can be copied by a fork, or by its state.
         has_close: whether it has something to release at its end.
         begins_alike: whether all episodes begin alike.
+        copy_error: why it cannot be copied, if its class says so.
     """
 
     plant: str
@@ -55,6 +56,7 @@ class ClassPlan:
     has_state: bool
     has_close: bool = False
     begins_alike: bool = False
+    copy_error: str = ""
 
 
 def plan_class(
@@ -97,7 +99,7 @@ def plan_class(
     if "error" in fields:
         raise errors.from_wire(fields)
     description = replace(_describe(fields), provenance=_provenance(plant, arguments, fields["file"], fields["files"]))
-    flags = {name: fields[name] for name in ("forkable", "has_state", "has_close", "begins_alike")}
+    flags = {name: fields[name] for name in ("forkable", "has_state", "has_close", "begins_alike", "copy_error")}
     return ClassPlan(plant, dict(arguments), description, **flags)
 
 

@@ -60,6 +60,7 @@ class ClassDescription:
         actions: actuators that are an agent's actions.
         forkable, has_state: whether it can be copied by a fork, or by its state.
         has_close: whether it has something to release at its end.
+        copy_error: why a plant of the product's cannot be copied.
     """
 
     name: str
@@ -80,6 +81,7 @@ class ClassDescription:
     begins_alike: bool = False
     actions: tuple[str, ...] = ()
     diagram: dict[str, Any] | None = None
+    copy_error: str = ""
 
 
 def split_name(plant: str) -> tuple[str, str]:
@@ -202,6 +204,7 @@ def describe(plant: Any) -> ClassDescription:
         begins_alike=begins_alike,
         actions=actions,
         diagram=diagram,
+        copy_error=str(getattr(plant, "copy_error", "")),
     )
 
 

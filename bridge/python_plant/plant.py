@@ -82,7 +82,8 @@ class PythonEngines(EngineGroup, PlantDefaults):
     def _copy_all(self, clients: Sequence[EngineClient], folder: Path) -> list[EngineClient]:
         if not self._plan.forkable and not self._plan.has_state:
             raise ForkFailed(
-                f"plant {self._plan.plant!r} cannot be copied: give its class save() and restore(state), or "
+                self._plan.copy_error
+                or f"plant {self._plan.plant!r} cannot be copied: give its class save() and restore(state), or "
                 "forkable = True if its process has no threads and no connections"
             )
         return start_all(clients, lambda client: self._copy(client, folder / str(next(self._numbers))))

@@ -36,10 +36,12 @@ class FmuPlant:
     Attributes:
         step_s, duration_s, begin, sensors, actuators, model_name, files, warnings: see
             `zenostat.bridge.python_plant.Plant`.
+        copy_error: why it cannot be copied; empty if it can.
     """
 
     forkable = True
     begins_alike = True
+    copy_error = ""
 
     def __init__(
         self,
@@ -77,6 +79,7 @@ class FmuPlant:
             notes.append("the FMU has threads of its own, so it has no snapshots, branches and trial steps")
         elif _count_sockets() > sockets:
             self.forkable = False  # two processes would send over one connection
+            self.copy_error = f"the FMU {path.name} has connections of its own, so it cannot be copied"
             notes.append("the FMU has connections of its own, so it has no snapshots, branches and trial steps")
         self.warnings = notes
 

@@ -20,6 +20,7 @@ from support.run_cli import run_in_process
 
 import zenostat
 from zenostat import Bus
+from zenostat.topics.errors import ForkFailed
 
 fmpy = pytest.importorskip("fmpy")
 validation = pytest.importorskip("fmpy.validation")
@@ -297,6 +298,8 @@ def test_fmi_gateway__its_fmu_as_a_node_is_the_same_building(shared_node: NodePr
             for _ in range(4):
                 env.step(action)
                 rows.append(building.sample.values)
+        with pytest.raises(ForkFailed, match=r"^the FMU .*\.fmu has connections of its own, so it cannot be copied$"):
+            building.snapshot()
         env.close()
         commands = dict(zip(names, action.tolist(), strict=True))
         np.testing.assert_array_equal(rows, directly(bus, 7, lambda _: commands)[:5])
