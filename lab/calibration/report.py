@@ -1,7 +1,8 @@
-"""The report of a calibration: one HTML file that loads nothing, with tables and figures, and the figures as files."""
+"""The report of a calibration: one HTML file that loads nothing, and its figures and its trials as files."""
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -84,7 +85,6 @@ def write_report(
         command: the command line.
     """
     from zenostat.lab.calibration.report_figures import figures
-    from zenostat.lab.calibration.trials_table import write_trials
 
     folder = result.config.folder
     drawn = figures(result, {name: unit for name, (unit, _) in texts.items()})
@@ -99,7 +99,20 @@ def write_report(
     path = folder / "report.html"
     with atomic_file(path) as temporary:
         temporary.write_text(_page(result, texts, facts, drawn, command), encoding="utf-8")
-    return [path, write_trials(result), *files]
+    return [path, _write_trials(result), *files]
+
+
+def _write_trials(result: CalibrationResult) -> Path:
+    """Write `trials.csv` with state, error, values and the reason of its end of each trial; return its path."""
+    path, names = result.config.folder / "trials.csv", list(result.config.parameters)
+    with atomic_file(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["trial", "state", "error", *names, "reason"])
+        for trial in result.ended:
+            error = trial.error if trial.is_complete else ""
+            values = [trial.values[name] for name in names]
+            writer.writerow([trial.number, trial.result["state"], error, *values, trial.result.get("reason", "")])
+    return path
 
 
 def _days(periods: Sequence[tuple[Any, Any]]) -> str:
