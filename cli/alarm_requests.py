@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from zenostat.cli.console import out
-from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
-from zenostat.cli.write import Node, Source, person, seconds
+from zenostat.cli.options import DEFAULTS, BusOptions, Node, on_bus
+from zenostat.cli.write import Source, person, seconds
 from zenostat.topics.keys import Role
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ import typer
 from rich.live import Live
 
 from zenostat.cli.console import err, out
-from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
+from zenostat.cli.options import DEFAULTS, BusOptions, Node, Slot, on_bus
 from zenostat.cli.tables import fitted, show, show_json
 from zenostat.topics.errors import NodeNotFound
 from zenostat.topics.json_numbers import finite
@@ -31,10 +31,10 @@ _COLUMNS = ("state", "priority", "alarm", "value", "limit", "since")
 
 @on_bus
 def alarms(
-    node: Annotated[str, typer.Argument(help="Name of the node.")],
+    node: Node,
     show_all: Annotated[bool, typer.Option("--all", help="Also list alarms that are normal.")] = False,
     follow: Annotated[bool, typer.Option("--follow", help="Show changes until Ctrl-C.")] = False,
-    slot: Annotated[int, typer.Option(min=0, help="Slot of a node with several engines.")] = 0,
+    slot: Slot = 0,
     options: BusOptions = DEFAULTS,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON; with --follow, a line per change.")] = False,
 ) -> None:

@@ -11,7 +11,7 @@ import typer
 from rich.progress import track
 
 from zenostat.cli.console import err
-from zenostat.cli.tables import show, show_json
+from zenostat.cli.tables import AsJson, show, show_json
 from zenostat.topics.plurals import counted
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def buildings(
     building: Annotated[
         list[str] | None, typer.Argument(help="Short names, IDF or epJSON files, or parts of names. Default: all.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """List buildings with floor area, conditioned area, zones, HVAC, fuels, EMS programs and timesteps per hour.
 

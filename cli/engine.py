@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-import typer
-
-from zenostat.cli.tables import show, show_json
+from zenostat.cli.tables import AsJson, show, show_json
 
 
-def engine(as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False) -> None:
+def engine(as_json: AsJson = False) -> None:
     """Show the EnergyPlus that runs: its version, its library and where that is from.
 
     Example: `zenostat engine`

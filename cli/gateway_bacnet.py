@@ -11,7 +11,7 @@ import typer
 from zenostat.cli.console import err, out
 from zenostat.cli.gateway import manifest_of, serve
 from zenostat.cli.gateway_clients import Allow, ClientsFile, clients_of, notify
-from zenostat.cli.options import DEFAULTS, BusOptions, Expose, Wait, on_bus
+from zenostat.cli.options import DEFAULTS, BusOptions, Expose, Node, Wait, on_bus
 from zenostat.gateways.addresses import parse_address
 from zenostat.topics.device_addresses import MAX_INSTANCE
 from zenostat.topics.errors import InvalidConfig
@@ -23,7 +23,7 @@ _MAX_SOURCE = 100  # a source has at most 128 characters, with the client's addr
 
 @on_bus
 def bacnet(
-    node: Annotated[str, typer.Argument(help="Name of the node.")],
+    node: Node,
     options: BusOptions = DEFAULTS,
     wait: Wait = False,
     address: Annotated[

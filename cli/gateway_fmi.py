@@ -10,7 +10,7 @@ import typer
 from zenostat.cli.console import out, until_signal
 from zenostat.cli.gateway import manifest_of
 from zenostat.cli.gateway_clients import Allow, ClientsFile, Priority, clients_of, notify
-from zenostat.cli.options import DEFAULTS, BusOptions, Expose, Wait, on_bus
+from zenostat.cli.options import DEFAULTS, BusOptions, Expose, Node, Wait, on_bus
 from zenostat.topics.atomic_file import check_writable
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.keys import Role
@@ -21,7 +21,7 @@ DEFAULT_PORT = 4880
 
 @on_bus
 def fmi(
-    node: Annotated[str, typer.Argument(help="Name of the node.")],
+    node: Node,
     address: Annotated[
         str, typer.Option(help="ADDRESS:PORT to listen on; port 0 is any free one.")
     ] = f"127.0.0.1:{DEFAULT_PORT}",

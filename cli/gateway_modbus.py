@@ -10,7 +10,7 @@ import typer
 from zenostat.cli.console import out
 from zenostat.cli.gateway import manifest_of, serve
 from zenostat.cli.gateway_clients import Allow, ClientsFile, Priority, clients_of, notify
-from zenostat.cli.options import DEFAULTS, BusOptions, Expose, Wait, on_bus
+from zenostat.cli.options import DEFAULTS, BusOptions, Expose, Node, Wait, on_bus
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.plurals import counted
 
@@ -19,7 +19,7 @@ DEFAULT_PORT = 1502
 
 @on_bus
 def modbus(
-    node: Annotated[str, typer.Argument(help="Name of the node.")],
+    node: Node,
     address: Annotated[
         str, typer.Option(help="ADDRESS:PORT to listen on; port 0 is any free one.")
     ] = f"127.0.0.1:{DEFAULT_PORT}",

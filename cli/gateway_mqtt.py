@@ -10,7 +10,7 @@ import typer
 
 from zenostat.cli.gateway import serve
 from zenostat.cli.gateway_clients import Allow, ClientsFile, clients_of, notify
-from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
+from zenostat.cli.options import DEFAULTS, BusOptions, Node, Wait, on_bus
 from zenostat.gateways.addresses import names_of
 from zenostat.topics.addresses import is_loopback, split_address
 from zenostat.topics.errors import InvalidConfig
@@ -20,7 +20,7 @@ from zenostat.topics.user_file import user_file
 
 @on_bus
 def mqtt(
-    node: Annotated[str, typer.Argument(help="Name of the node.")],
+    node: Node,
     broker: Annotated[str, typer.Option(help="HOST:PORT of the broker; port 1883, with --tls 8883, by default.")] = (
         "127.0.0.1:1883"
     ),

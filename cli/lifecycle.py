@@ -7,8 +7,8 @@ from typing import Annotated
 import typer
 
 from zenostat.cli.console import out
-from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
-from zenostat.cli.write import Node, person
+from zenostat.cli.options import DEFAULTS, BusOptions, Node, on_bus
+from zenostat.cli.write import person
 from zenostat.topics.errors import NodeLost
 from zenostat.topics.keys import Role
 from zenostat.topics.plurals import counted

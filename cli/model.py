@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from zenostat.cli.console import err, out, print_error
-from zenostat.cli.tables import show, show_json
+from zenostat.cli.tables import AsJson, show, show_json
 from zenostat.topics.errors import InvalidConfig, MissingExtra, ModelError, ZenostatError
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.keys import check_name
@@ -70,7 +70,7 @@ def model(
     ] = None,
     begin: Annotated[str, typer.Option(help="First day that --probe simulates, MM-DD.")] = "07-03",
     end: Annotated[str, typer.Option(help="Last day that --probe simulates, MM-DD.")] = "07-07",
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Describe a building model: zones, systems, controls, schedules, actuators, errors.
 

@@ -31,6 +31,8 @@ Keys = Annotated[
     Path | None, typer.Option(help="Folder created by `zenostat keys init`: use TLS, with access rules per name.")
 ]
 CertificateName = Annotated[str | None, typer.Option(help="Name of the certificate. [default: that of the role]")]
+Node = Annotated[str, typer.Argument(help="Name of the node.")]
+Slot = Annotated[int, typer.Option(min=0, help="Slot of a node with several engines.")]
 Expose = Annotated[bool, typer.Option("--expose", help="Allow connections from other machines.")]
 Wait = Annotated[
     bool, typer.Option("--wait", help="Wait for the bus and the node if they are not there yet, instead of ending.")

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from zenostat.cli.console import out
-from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
-from zenostat.cli.write import Node, person
+from zenostat.cli.options import DEFAULTS, BusOptions, Node, on_bus
+from zenostat.cli.write import person
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.keys import Role
 from zenostat.topics.messages import Mode, State, Status

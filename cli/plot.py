@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from zenostat.cli.console import out
-from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
+from zenostat.cli.options import DEFAULTS, BusOptions, Node, Slot, on_bus
 from zenostat.cli.read import check_points
 from zenostat.cli.tables import show_json
 from zenostat.topics.errors import InvalidConfig
@@ -27,13 +27,13 @@ _SAMPLES_PER_COLUMN = 8
 
 @on_bus
 def plot(
-    node: Annotated[str, typer.Argument(help="Name of the node.")],
+    node: Node,
     points: Annotated[list[str], typer.Argument(help="Names of sensors, meters and actuators.")],
     start: Annotated[
         str | None, typer.Option("--from", metavar="TIME", help="Simulated time: 07-03, or 07-03T06:00.")
     ] = None,
     end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="Simulated time of the last sample.")] = None,
-    slot: Annotated[int, typer.Option(min=0, help="Slot of a node with several engines.")] = 0,
+    slot: Slot = 0,
     height: Annotated[int, typer.Option(min=3, max=200, help="Lines of each chart.")] = 10,
     options: BusOptions = DEFAULTS,
     as_json: Annotated[bool, typer.Option("--json", help="Print all samples as JSON.")] = False,

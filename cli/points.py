@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from zenostat.cli.console import err, print_error
-from zenostat.cli.tables import show, show_json
+from zenostat.cli.tables import AsJson, show, show_json
 from zenostat.topics.errors import did_you_mean
 from zenostat.topics.plurals import counted
 from zenostat.topics.units import unit_label
@@ -43,7 +43,7 @@ def points(
             "--default --no-monitoring, those of a node with that option."
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """List a building's points with units, bounds and locations. The first call for a building takes seconds.
 

@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
-from zenostat.cli.tables import show, show_json
+from zenostat.cli.options import DEFAULTS, BusOptions, Node, Slot, on_bus
+from zenostat.cli.tables import AsJson, show, show_json
 from zenostat.topics.keys import Role
 from zenostat.topics.points import actuator_index
 from zenostat.topics.units import unit_label
@@ -15,11 +15,11 @@ from zenostat.topics.units import unit_label
 
 @on_bus
 def priorities(
-    node: Annotated[str, typer.Argument(help="Name of the node.")],
+    node: Node,
     actuators: Annotated[list[str] | None, typer.Argument(help="Names of actuators. Default: all in use.")] = None,
-    slot: Annotated[int, typer.Option(min=0, help="Slot of a node with several engines.")] = 0,
+    slot: Slot = 0,
     options: BusOptions = DEFAULTS,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Show who has commanded which actuator at which priority; the first line of an actuator is in effect.
 

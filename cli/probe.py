@@ -12,7 +12,7 @@ import typer
 from zenostat.cli.console import out, progress
 from zenostat.cli.node_options import Begin, End
 from zenostat.cli.pairs import read_pairs, read_parameters
-from zenostat.cli.tables import show, show_json
+from zenostat.cli.tables import AsJson, show, show_json
 from zenostat.topics.errors import ErrorCollector
 from zenostat.topics.plurals import counted
 from zenostat.topics.units import with_unit
@@ -57,7 +57,7 @@ def probe(
             help="Override an argument of the scenario (weather, control, ...); repeatable.",
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Hold each actuator low and high in branches of the running building, and list the points that respond.
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
-from zenostat.cli.tables import show, show_json
+from zenostat.cli.options import DEFAULTS, BusOptions, Node, Slot, on_bus
+from zenostat.cli.tables import AsJson, show, show_json
 from zenostat.topics.keys import Role
 from zenostat.topics.messages import Manifest, Meter, Sensor
 from zenostat.topics.points import PointIndex
@@ -39,11 +39,11 @@ class Row:
 
 @on_bus
 def read(
-    node: Annotated[str, typer.Argument(help="Name of the node.")],
+    node: Node,
     points: Annotated[list[str] | None, typer.Argument(help="Names of points. Default: all.")] = None,
-    slot: Annotated[int, typer.Option(min=0, help="Slot of a node with several engines.")] = 0,
+    slot: Slot = 0,
     options: BusOptions = DEFAULTS,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Show the latest sample of a node: values with units, and each actuator's effective value and source.
 

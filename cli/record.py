@@ -10,8 +10,8 @@ import typer
 from zenostat.bridge.runtime.affinity import host
 from zenostat.cli.console import out
 from zenostat.cli.node_options import RecordOnFull
-from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
-from zenostat.cli.write import Node, person
+from zenostat.cli.options import DEFAULTS, BusOptions, Node, on_bus
+from zenostat.cli.write import person
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.keys import Role
 from zenostat.topics.messages import OnFull, RecordingState, RecordingStatus

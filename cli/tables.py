@@ -6,8 +6,9 @@ import json
 import re
 import sys
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Annotated, Any
 
+import typer
 from rich import box
 from rich.cells import cell_len
 from rich.console import Group, RenderableType
@@ -18,6 +19,8 @@ from rich.text import Text
 from zenostat.cli.console import out
 from zenostat.topics.json_numbers import finite
 from zenostat.topics.printable import replace_controls, replace_controls_in_lines
+
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 _MAX_RENDERED_ROWS = 2000
 """Longer tables take seconds to render."""

@@ -14,7 +14,7 @@ from rich.console import RenderableType
 from rich.live import Live
 
 from zenostat.cli.console import err, out
-from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
+from zenostat.cli.options import DEFAULTS, BusOptions, Node, Slot, on_bus
 from zenostat.cli.read import Row, check_points, format_source, format_value, sample_id
 from zenostat.cli.read import rows as rows_of
 from zenostat.cli.tables import fitted
@@ -32,10 +32,10 @@ _REFRESHES_PER_SECOND = 10
 
 @on_bus
 def watch(
-    node: Annotated[str, typer.Argument(help="Name of the node.")],
+    node: Node,
     points: Annotated[list[str] | None, typer.Argument(help="Names of points. Default: all.")] = None,
     steps: Annotated[int | None, typer.Option(min=1, help="Stop after this many samples.")] = None,
-    slot: Annotated[int, typer.Option(min=0, help="Slot of a node with several engines.")] = 0,
+    slot: Slot = 0,
     options: BusOptions = DEFAULTS,
     as_json: Annotated[bool, typer.Option("--json", help="Print one line of JSON per sample.")] = False,
 ) -> None:

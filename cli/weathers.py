@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from zenostat.cli.tables import show, show_json
+from zenostat.cli.tables import AsJson, show, show_json
 from zenostat.topics.plurals import counted
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def weathers(
     weather: Annotated[
         list[str] | None, typer.Argument(help="Short names, EPW files, or parts of names. Default: all.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """List weather files with location, climate zone (ASHRAE 169), mean temperature and humidity, and days covered.
 

@@ -9,11 +9,10 @@ from typing import Annotated
 import typer
 
 from zenostat.cli.console import out
-from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
+from zenostat.cli.options import DEFAULTS, BusOptions, Node, on_bus
 from zenostat.topics.calendar import parse_duration
 from zenostat.topics.keys import Role, safe_name
 
-Node = Annotated[str, typer.Argument(help="Name of the node.")]
 Point = Annotated[str, typer.Argument(help="Name of the actuator; `zenostat read NODE` lists them.")]
 Priority = Annotated[
     int, typer.Option(min=1, max=16, help="Priority; 1 is the highest, 8 is for manual operation (BACnet).")
