@@ -15,7 +15,7 @@ from zenostat.metrics.calibration_errors import HOURLY, MONTHLY, FitErrors
 from zenostat.topics import VERSION
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.units import unit_label
-from zenostat.views.report.document import document
+from zenostat.views.report.document import document, heading
 from zenostat.views.report.svg import inline_svg, save
 
 Row = tuple[str, ...]
@@ -123,9 +123,8 @@ def _page(
     result: CalibrationResult, texts: Mapping[str, tuple[str, str]], facts: Sequence[tuple[str, str]],
     drawn: Mapping[str, tuple[str, str, Any]], command: str,
 ) -> str:  # fmt: skip
-    terms = "".join(f"<div><dt>{escape(term)}</dt><dd>{escape(text)}</dd></div>" for term, text in facts if text)
     title = f"Calibration of {facts[0][1]}"
-    parts = [f"<header><h1>{escape(title)}</h1><dl>{terms}</dl></header><main>"]
+    parts = [f"<header>{heading(title, facts)}</header><main>"]
     parts += [f'<p class="lead">{escape(text)}</p>' for text in summary(result)]
     errors = _table(*error_rows(result), numbers=range(2, 6))
     parts.append(f"<section><h2>Errors</h2>{errors}<p class='note'>{escape(_ERRORS)}</p></section>")

@@ -12,6 +12,7 @@ from zenostat.metrics.district_balance import (
     plant_names,
     plant_trajectory,
 )
+from zenostat.views.report.document import note_block
 from zenostat.views.report.quantities import Quantities
 from zenostat.views.report.runs import Comparison, Run
 from zenostat.views.report.totals import number
@@ -42,10 +43,10 @@ def district_section(comparison: Comparison) -> str:
     if not has_district(comparison):
         return ""
     parts = [_balances(run, is_single=len(comparison.runs) == 1) for run in comparison.runs]
-    parts.append(f'<div class="notes"><p>{escape(_NOTES)}</p></div>')
+    parts.append(note_block([_NOTES]))
     connections = [_connections(run, is_single=len(comparison.runs) == 1) for run in comparison.runs]
     if any(connections):
-        parts += [*connections, f'<div class="notes"><p>{escape(_CONNECTION_NOTES)}</p></div>']
+        parts += [*connections, note_block([_CONNECTION_NOTES])]
     parts += [text for run in comparison.runs if (text := _comfort(run, is_single=len(comparison.runs) == 1))]
     return f'<section id="{ANCHOR}"><h2>{TITLE}</h2>{"".join(parts)}</section>'
 
@@ -95,11 +96,7 @@ def _comfort(run: Run, *, is_single: bool) -> str:
     head = ("Building", "Zones", "Too warm, K h", "Too cold, K h", "Worst zone")
     note = f"Outside the comfort band while zones are occupied, summed over zones. Bands: {'; '.join(bands)}."
     table = _table("Comfort by building", head, rows, texts=1)
-    return (
-        _heading("Comfort by building", run, is_single=is_single)
-        + table
-        + f'<div class="notes"><p>{escape(note)}</p></div>'
-    )
+    return _heading("Comfort by building", run, is_single=is_single) + table + note_block([note])
 
 
 def _table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]], *, texts: int) -> str:

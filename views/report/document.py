@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+from collections.abc import Iterable
 from html import escape
 from pathlib import Path
 
@@ -37,6 +38,17 @@ def document(title: str, body: str, script: str) -> str:
         f"<title>{escape(title)}</title><style>{_css()}</style></head>\n"
         f"<body>{body}<script>{script}</script></body></html>\n"
     )
+
+
+def heading(title: str, facts: Iterable[tuple[str, str]]) -> str:
+    """Return a title, and below it terms with their texts, as HTML; a term with an empty text is left out."""
+    terms = "".join(f"<div><dt>{escape(term)}</dt><dd>{escape(text)}</dd></div>" for term, text in facts if text)
+    return f"<h1>{escape(title)}</h1><dl>{terms}</dl>"
+
+
+def note_block(texts: Iterable[str]) -> str:
+    """Return notes below a table as HTML, a paragraph for each."""
+    return f'<div class="notes">{"".join(f"<p>{escape(text)}</p>" for text in texts)}</div>'
 
 
 def _css() -> str:

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from zenostat.topics.messages import Geometry
 from zenostat.views.display.surfaces import surfaces
-from zenostat.views.report.document import document
+from zenostat.views.report.document import document, heading
 
 _SCRIPT = Path(__file__).with_name("model_page.js").read_text(encoding="utf-8")
 _HINT = "Drag to turn, turn the wheel to zoom, point at a zone to see its name. With the keyboard: arrow keys, + and -."
@@ -56,8 +56,7 @@ def model_page(
         trees: titles and systems.
         tables: tables after the systems; an empty one is left out.
     """
-    terms = "".join(f"<div><dt>{escape(term)}</dt><dd>{escape(text)}</dd></div>" for term, text in facts if text)
-    body = [f"<header><h1>{escape(name)}</h1><dl>{terms}</dl></header><main>"]
+    body = [f"<header>{heading(name, facts)}</header><main>"]
     if geometry is not None:
         body.append(_view(geometry))
     if notes:

@@ -14,7 +14,7 @@ import numpy as np
 from zenostat.metrics.comfort import band_text
 from zenostat.topics.plurals import counted
 from zenostat.views.report.district_section import ANCHOR, TITLE, district_section, has_district
-from zenostat.views.report.document import REPORT_SCRIPT, document
+from zenostat.views.report.document import REPORT_SCRIPT, document, heading
 from zenostat.views.report.figures.base import Figure
 from zenostat.views.report.readings import readings
 from zenostat.views.report.runs import Comparison, Run
@@ -78,8 +78,7 @@ def _heading(comparison: Comparison) -> str:
             f"Zenostat {versions.zenostat}" + (f", EnergyPlus {versions.energyplus}" * bool(versions.energyplus)),
         ),
     ]
-    terms = "".join(f"<div><dt>{escape(key)}</dt><dd>{escape(text)}</dd></div>" for key, text in rows if text)
-    return f"<h1>{escape(manifest.building)}</h1><dl>{terms}</dl>"
+    return heading(manifest.building, rows)
 
 
 def _duration(seconds: float) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
+from zenostat.views.report.document import note_block
 from zenostat.views.report.runs import Comparison
 from zenostat.views.report.sections import not_measured
 from zenostat.views.report.totals import Difference, Metric, difference, kpis, metrics, names, number, signed, total
@@ -23,18 +24,14 @@ def totals_section(comparison: Comparison) -> str:
     if missing:
         notes.append(f"Not measured: {names(missing)}.")
     notes += _sources(comparison, rows)
-    parts = [_table(comparison, rows, "Totals"), _notes(notes)]
+    parts = [_table(comparison, rows, "Totals"), note_block(notes)]
     if indicators:
         parts.append('<h3 id="kpis">Key performance indicators, as BOPTEST defines them</h3>')
         parts += [
             _table(comparison, indicators, "Key performance indicators"),
-            _notes(_sources(comparison, indicators)),
+            note_block(_sources(comparison, indicators)),
         ]
     return f'<section id="totals"><h2>Totals</h2>{"".join(parts)}</section>'
-
-
-def _notes(notes: Sequence[str]) -> str:
-    return f'<div class="notes">{"".join(f"<p>{escape(note)}</p>" for note in notes)}</div>'
 
 
 def _notes_on_episodes(comparison: Comparison, rows: Sequence[Metric]) -> list[str]:
