@@ -16,7 +16,7 @@ from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 from zenostat.topics.keys import Role
 
 if TYPE_CHECKING:
-    from zenostat.bridge.transport.certificates import Certificate
+    from zenostat.bridge.transport.identity import Certificate
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -45,7 +45,8 @@ def init(
 
     Example: `zenostat keys init --host lab.example.org --host 192.168.1.20`
     """
-    from zenostat.bridge.transport.certificates import AUTHORITY, make
+    from zenostat.bridge.transport.certificates import make
+    from zenostat.bridge.transport.identity import AUTHORITY
 
     _show(make(folder, hosts=host or (), days=days, force=force))
     out.print(
@@ -106,9 +107,9 @@ def revoke(
         return
     if options != DEFAULTS:
         raise InvalidConfig("--connect, --keys and --certificate are for --node; --folder names the folder of keys")
-    from zenostat.bridge.transport.certificates import names_of
     from zenostat.bridge.transport.deny_list import REVOKED
     from zenostat.bridge.transport.deny_list import revoke as write_revoked
+    from zenostat.bridge.transport.identity import names_of
 
     known = names_of(folder)
     if name not in known:
@@ -126,8 +127,8 @@ def show(folder: Annotated[Path, typer.Argument(help="Folder of the certificates
 
     Example: `zenostat keys show`
     """
-    from zenostat.bridge.transport.certificates import show
     from zenostat.bridge.transport.deny_list import read_revoked
+    from zenostat.bridge.transport.identity import show
 
     _show(show(folder), read_revoked(folder))
 

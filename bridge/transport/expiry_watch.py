@@ -7,7 +7,7 @@ from datetime import UTC, datetime, timedelta
 from time import monotonic
 
 from zenostat.bridge.runtime.timer import Timer
-from zenostat.bridge.transport.certificates import EXPIRES_SOON, Identity
+from zenostat.bridge.transport.identity import EXPIRES_SOON, Identity
 
 _BEFORE = (EXPIRES_SOON, timedelta(days=3), timedelta(0))
 _CHECK_S = 3600.0

@@ -27,7 +27,7 @@ from zenostat.topics.keys import DEFAULT_HOST, DEFAULT_PORT, Role
 
 if TYPE_CHECKING:
     from zenostat.bridge.runtime.timer import Timer
-    from zenostat.bridge.transport.certificates import Identity
+    from zenostat.bridge.transport.identity import Identity
 
 DEFAULT_ENDPOINT = f"tcp/{DEFAULT_HOST}:{DEFAULT_PORT}"
 DEFAULT_TLS_ENDPOINT = f"tls/{DEFAULT_HOST}:{DEFAULT_PORT}"
@@ -267,7 +267,7 @@ def _identity(keys: Path | None, role: Role | None, certificate: str | None, *, 
         raise InvalidConfig(
             f"a {role or 'certificate of any role'} does not listen; connect to a node or router, or listen as a node"
         )
-    from zenostat.bridge.transport.certificates import identity  # slow to import, and rarely needed
+    from zenostat.bridge.transport.identity import identity  # slow to import, and rarely needed
 
     if keys.suffix == ".pem":
         keys, certificate = keys.parent, keys.stem

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from zenostat.bridge.transport.certificates import Identity
+    from zenostat.bridge.transport.identity import Identity
 
 _TIMEOUT_S = 2.0
 _EXPIRED = 10

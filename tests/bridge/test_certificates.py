@@ -15,8 +15,9 @@ from support.certificates import expire
 from support.run_cli import run_program
 
 from zenostat.bridge.transport import certificates
-from zenostat.bridge.transport.certificates import add, identity, make, names_of, show
+from zenostat.bridge.transport.certificates import add, make
 from zenostat.bridge.transport.deny_list import REVOKED, DenyList, read_revoked, revoke
+from zenostat.bridge.transport.identity import identity, names_of, show
 from zenostat.bridge.transport.name_list import NAMES
 from zenostat.bridge.transport.session import open_session
 from zenostat.topics.errors import InvalidConfig, UnknownName

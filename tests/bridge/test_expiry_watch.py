@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 from support.clock import Clock
 
-from zenostat.bridge.transport.certificates import identity, make
+from zenostat.bridge.transport.certificates import make
 from zenostat.bridge.transport.expiry_watch import ExpiryWatch
+from zenostat.bridge.transport.identity import identity
 from zenostat.topics.keys import Role
 
 DAY_S = 86400.0

@@ -27,7 +27,8 @@ import zenostat
 from zenostat import Bus, ControllerLink
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.transport.access_control import ALL_MESSAGES, Permission, acl_config, may, name_rules, rules
-from zenostat.bridge.transport.certificates import add, identity, make
+from zenostat.bridge.transport.certificates import add, make
+from zenostat.bridge.transport.identity import identity
 from zenostat.bridge.transport.name_list import CERTIFIED
 from zenostat.bridge.transport.session import check_endpoint, exposure, open_session
 from zenostat.bridge.transport.tls_diagnosis import diagnose_tls

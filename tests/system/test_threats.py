@@ -23,7 +23,8 @@ from zenoh.handlers import RingChannel
 import zenostat
 from zenostat import Bus
 from zenostat.bridge.node.settings import NodeSettings
-from zenostat.bridge.transport.certificates import add, make, names_of
+from zenostat.bridge.transport.certificates import add, make
+from zenostat.bridge.transport.identity import names_of
 from zenostat.bridge.transport.name_list import NAMES
 from zenostat.bridge.transport.session import open_session
 from zenostat.topics import codec, keys

@@ -16,8 +16,8 @@ from typing import Any
 
 from cryptography import x509
 
-from zenostat.bridge.transport.certificates import AUTHORITY, expired_on, names_of
 from zenostat.bridge.transport.deny_list import read_revoked
+from zenostat.bridge.transport.identity import AUTHORITY, expired_on, names_of
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.keys import Role
 
