@@ -20,7 +20,6 @@ from zenostat.topics.energyplus_names import (
     FUELS,
     HEATING_SETPOINT,
     HEATING_SETPOINT_VARIABLE,
-    HVAC_END_USES,
     HVAC_POWER,
     OCCUPANTS,
     OUTDOOR_TEMPERATURE,
@@ -105,14 +104,12 @@ class EndUse:
         fuel: `electricity`, `natural gas`.
         index: index into `Manifest.points`.
         to_kw: factor from the meter's value to the mean power of the timestep in kW.
-        is_hvac: whether it belongs to heating, cooling or ventilation.
     """
 
     label: str
     fuel: str
     index: int
     to_kw: float
-    is_hvac: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,15 +358,14 @@ def _meters(manifest: Manifest) -> tuple[list[EndUse], list[EndUse], list[EndUse
         to_kw = power_kw(meter.unit, manifest.step_s)
         if left in _USE_RANK and right in _FUEL_RANK:
             text, fuel = _USE_LABELS[left], _FUEL_LABELS[right]
-            is_hvac = _USE_RANK[left] < len(HVAC_END_USES)
-            use = EndUse(text, fuel, first + index, to_kw, is_hvac)
+            use = EndUse(text, fuel, first + index, to_kw)
             end_uses.append(((_USE_RANK[left], _FUEL_RANK[right]), use))
         elif left in _FUEL_RANK and right in ("facility", ""):
             fuel = _FUEL_LABELS[left]
-            fuels.append(EndUse("facility", fuel, first + index, to_kw, is_hvac=False))
+            fuels.append(EndUse("facility", fuel, first + index, to_kw))
         elif left == "hvac" and right in _FUEL_RANK and right != "electricity":
             fuel = _FUEL_LABELS[right]
-            hvac_fuels.append(EndUse("HVAC", fuel, first + index, to_kw, is_hvac=True))
+            hvac_fuels.append(EndUse("HVAC", fuel, first + index, to_kw))
     return [use for _, use in sorted(end_uses, key=lambda entry: entry[0])], fuels, hvac_fuels
 
 

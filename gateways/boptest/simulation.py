@@ -23,7 +23,7 @@ from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig
-from zenostat.topics.messages import CommandOp, CreateBranch, Manifest, Mode
+from zenostat.topics.messages import CreateBranch, Manifest, Mode
 
 DAY_S = 86400
 YEAR = datetime(2017, 1, 1)
@@ -37,8 +37,6 @@ LAST_DAY = "2018-12-31"
 """Last day of each run period: tests continue past the end of the year."""
 
 _NODE = "building"
-_RELINQUISH = int(CommandOp.RELINQUISH)
-
 
 RUN_END_S = 2 * YEAR_S
 """End of each run period."""
@@ -82,7 +80,6 @@ class Simulation:
         self._link = bus.controller(node, name=name)
         self.manifest: Manifest = self._link.manifest
         self.sample: SampleView = self._link.current()
-        self._relinquished = bytes([_RELINQUISH]) * len(self.manifest.actuators)
 
     @property
     def owner(self) -> str:

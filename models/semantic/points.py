@@ -95,7 +95,7 @@ class _Owners:
     """Lookup of the entities that the keys of points name; names are case-folded."""
 
     def __init__(self, objects: ModelObjects, structure: Structure) -> None:
-        self._objects, self._structure = objects, structure
+        self._structure = structure
         self._zones = {key.name.casefold(): key for key in structure.classes if key.kind == "Zone"}
         named: dict[str, list[Key]] = defaultdict(list)
         for key in structure.equipment:

@@ -69,8 +69,6 @@ class Header:
         first, last: first and last day of the data period, of the first of several, as (month, day).
         more: first and last days of the other data periods.
         leap: whether the file has 29 February ("leap year observed").
-        start_weekday: the weekday of `first`, in English.
-        wmo: the station's WMO number.
         design: None if there are no design conditions or they cannot be read.
     """
 
@@ -84,8 +82,6 @@ class Header:
     more: tuple[tuple[MonthDay, MonthDay], ...] = ()
     leap: bool = False
     records_per_hour: int = 1
-    start_weekday: str = ""
-    wmo: str = ""
     design: DesignConditions | None = None
 
     @property
@@ -124,8 +120,6 @@ def parse_header(path: Path, lines: Sequence[bytes]) -> Header:
             more=tuple(periods[1:]),
             leap=cells[4][1].casefold() == "yes",
             records_per_hour=int(data[2]),
-            start_weekday=data[4],
-            wmo=location[5],
             design=_design(cells[1]),
         )
     except (IndexError, ValueError) as error:

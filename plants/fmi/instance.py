@@ -52,7 +52,7 @@ class Instance(ABC):
     def __init__(
         self, model: Model, experiment: Experiment, inputs: Sequence[Variable], outputs: Sequence[Variable]
     ) -> None:
-        self._model, self._experiment = model, experiment
+        self._experiment = experiment
         self._description = model.description
         self._is_fmi2 = model.description.fmiVersion == "2.0"
         self._outputs = _Group.of(outputs)

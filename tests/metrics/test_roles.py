@@ -75,10 +75,11 @@ def test_roles__by_hand() -> None:
     to_kw = 1.0 / 900.0 / 1000.0  # J in a quarter of an hour
     assert identified.facility_power == PowerSource(10, pytest.approx(to_kw), "Whole building")  # type: ignore[arg-type]
     assert identified.hvac_power == PowerSource(9, 1e-3, "HVAC and plant")
-    assert [(use.label, use.fuel, use.index, use.is_hvac) for use in identified.end_uses] == [
-        ("heating", "natural gas", 13, True), ("cooling", "electricity", 15, True),
-        ("interior lights", "electricity", 11, False),
-    ]  # fmt: skip
+    assert [(use.label, use.fuel, use.index) for use in identified.end_uses] == [
+        ("heating", "natural gas", 13),
+        ("cooling", "electricity", 15),
+        ("interior lights", "electricity", 11),
+    ]
     assert [(fuel.fuel, fuel.index) for fuel in identified.fuels] == [("electricity", 10), ("natural gas", 12)]
     assert identified.others == {"degC": (3,), "m/s": (8,), "J": (14,)}
     assert identified.labels[6] == "B heat"
