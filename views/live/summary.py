@@ -139,7 +139,7 @@ def clock(time: datetime | None) -> str:
 
 def markdown(numbers: NodeNumbers) -> str:
     """Return the numbers as a table in markdown; columns that the node does not have are left out."""
-    cells = [("Simulated time", clock(numbers.time)), ("Outdoors", _degrees(numbers.outdoor_degc))]
+    cells = [("Simulated time", clock(numbers.time)), ("Outdoors", _if_known(numbers.outdoor_degc, "°C"))]
     if numbers.low_degc is not None and numbers.high_degc is not None:
         cells.append(("Zones", f"{numbers.low_degc:.1f} to {numbers.high_degc:.1f} °C"))
     if numbers.band_degc is not None:
@@ -151,10 +151,10 @@ def markdown(numbers: NodeNumbers) -> str:
     cells += [
         (numbers.hvac_label, _use(numbers.hvac_kw, numbers.hvac_kwh)),
         ("Electricity", _use(numbers.facility_kw, numbers.facility_kwh)),
-        ("Electric peak", _kw(numbers.peak_kw)),
+        ("Electric peak", _if_known(numbers.peak_kw, "kW")),
         *((fuel.capitalize(), _use(kw, kwh)) for fuel, kw, kwh in numbers.fuels),
-        ("Outside comfort, occupied", _kh(numbers.occupied_kh)),
-        ("all hours", _kh(numbers.outside_kh)),
+        ("Outside comfort, occupied", _if_known(numbers.occupied_kh, "K h")),
+        ("all hours", _if_known(numbers.outside_kh, "K h")),
         ("Set by", _setters(numbers.sources)),
         ("Alarms", _listing(numbers.alarms)),
         ("Faults", _listing(numbers.faults)),
@@ -164,21 +164,13 @@ def markdown(numbers: NodeNumbers) -> str:
     return f"| {head} |\n|{'---|' * len(cells)}\n| **{values}** |"
 
 
-def _degrees(value: float | None) -> str:
-    return "" if value is None else quantity(value, "°C")
-
-
-def _kw(value: float | None) -> str:
-    return "" if value is None else quantity(value, "kW")
+def _if_known(value: float | None, unit: str) -> str:
+    return "" if value is None else quantity(value, unit)
 
 
 def _use(kw: float | None, kwh: float | None) -> str:
     """Return power and energy so far: `128.7 kW, 3,798 kWh`."""
     return "" if kw is None else f"{quantity(kw, 'kW')}, {quantity(kwh, 'kWh', 0)}"
-
-
-def _kh(value: float | None) -> str:
-    return "" if value is None else quantity(value, "K h")
 
 
 def _setters(names: Sequence[str]) -> str:
