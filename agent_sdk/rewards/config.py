@@ -8,15 +8,10 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, SerializerFunctionWrapHandler, model_serializer
 
 from zenostat.agent_sdk.rewards.base import BoundReward
+from zenostat.topics.file_fields import as_tuple
 from zenostat.topics.messages import Manifest
 
-
-def one_or_more(value: Any) -> Any:
-    """Return a single name as a tuple, and anything else as it is."""
-    return (value,) if isinstance(value, str) else value
-
-
-Names = Annotated[tuple[str, ...], BeforeValidator(one_or_more, json_schema_input_type=str | list[str])]
+Names = Annotated[tuple[str, ...], BeforeValidator(as_tuple, json_schema_input_type=str | list[str])]
 """Names of sensors or meters; a single name is also accepted."""
 
 

@@ -8,17 +8,16 @@ from pydantic import BeforeValidator, Field, field_validator
 from typing_extensions import override
 
 from zenostat.agent_sdk.rewards.base import BoundReward
-from zenostat.agent_sdk.rewards.config import Names, RewardConfig, one_or_more
+from zenostat.agent_sdk.rewards.config import Names, RewardConfig
 from zenostat.agent_sdk.rewards.selectors import named, of_variables, powers, same_zone
 from zenostat.agent_sdk.rewards.terms import Power, SetpointDegrees, Term, TermSum
 from zenostat.agent_sdk.rewards.zone_setpoints import ZonePoints, ZoneSetpoints
 from zenostat.topics.energyplus_names import COOLING_SETPOINT_VARIABLE, HEATING_SETPOINT_VARIABLE, ZONE_TEMPERATURES
 from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.file_fields import as_tuple
 from zenostat.topics.messages import Manifest
 
-Setpoints = Annotated[
-    tuple[str | None, ...], BeforeValidator(one_or_more, json_schema_input_type=str | list[str | None])
-]
+Setpoints = Annotated[tuple[str | None, ...], BeforeValidator(as_tuple, json_schema_input_type=str | list[str | None])]
 """Names of a zone's setpoint, or of [heating, cooling]; None: no limit on that side."""
 
 
