@@ -52,10 +52,8 @@ def load_policy(
         folder, path = path, training_folder.model_file(path)
     elif training_folder.is_training(path.parent):
         folder = path.parent
-    if folder is not None:
-        algorithm = str(training_folder.read_training_fields(folder).get("algorithm"))
-    elif path.is_dir():
-        raise InvalidConfig(f"{path} is not the folder of a training: it has no {training_folder.TRAINING}")
+    if folder is not None or path.is_dir():  # a folder of another kind is an error
+        algorithm = str(training_folder.read_training_fields(folder or path).get("algorithm"))
     if algorithm is None:
         raise InvalidConfig(
             f"the algorithm of {path} is missing: one of {', '.join(ALGORITHMS)} expected, as ppo:{path}"
