@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
-from support.recordings import chunk_ends, damaged_heads, new_recorder, record_samples
+from support.recordings import chunk_ends, damaged_heads, new_recorder, record_samples, sample_numbers
 
 from zenostat.bridge.recording.audit_chain import check_audit
 from zenostat.bridge.recording.channels import EVENTS, SAMPLES
@@ -42,11 +42,6 @@ def record(path: Path, numbers: range, *, goes_on: bool = False) -> None:
     assert not recorder.status().reason
 
 
-def numbers_in(path: Path) -> list[int]:
-    with RecordingReader(path) as reader:
-        return [int.from_bytes(item.payload[:4], "little") for item in reader.messages({"Sample"})]
-
-
 @pytest.fixture(scope="module")
 def complete(module_scratch: Path) -> Path:
     path = module_scratch / "complete.mcap"
@@ -62,12 +57,12 @@ def test_recorder__goes_on_with_a_file_that_ended_anywhere(seed: int, complete: 
     size = int(np.random.default_rng(seed).integers(ends[0], len(data) + 1)) if seed else len(data)
     path.write_bytes(data[:size] + (b"\0" * 3000 if seed % 2 else b""))
     kept = sum(end <= size for end in ends)
-    before = numbers_in(path)
+    before = sample_numbers(path)
     with RecordingReader(path) as reader:
         entries = sum(item.schema in ("Event", "Command") for item in reader.messages())
     record(path, range(60, 70), goes_on=True)
     assert path.read_bytes()[: ends[kept - 1]] == data[: ends[kept - 1]]  # nothing before has changed
-    assert numbers_in(path) == [*before, *range(60, 70)]
+    assert sample_numbers(path) == [*before, *range(60, 70)]
     with RecordingReader(path) as reader:
         audit, end = check_audit(reader), reader.end
         topics = {item.topic for item in reader.messages()}
@@ -161,12 +156,12 @@ def test_recording__damaged_summary_is_written_again(complete: Path, scratch: Pa
     with RecordingReader(path) as reader:
         assert list(reader.messages())
     assert (reader.end.is_complete, reader.end.text) == (True, "")
-    assert numbers_in(path) == [*range(62)]
+    assert sample_numbers(path) == [*range(62)]
 
 
 def test_recording__damaged_opcode_or_length_is_never_overwritten(scratch: Path) -> None:
     whole, path = record_samples(scratch / "whole.mcap", 2600), scratch / "damaged.mcap"
-    samples = len(numbers_in(whole))
+    samples = len(sample_numbers(whole))
     for content in damaged_heads(whole):
         path.write_bytes(content)
         with suppress(InvalidRecording):

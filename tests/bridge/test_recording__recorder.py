@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 from support.nodes import until
-from support.recordings import chunk_ends, new_recorder, record_samples
+from support.recordings import chunk_ends, new_recorder, record_samples, sample_numbers
 
 from zenostat.bridge.recording.channels import SAMPLES
 from zenostat.bridge.recording.file import MAGIC, check_path, open_recording, recording_path
@@ -23,14 +23,9 @@ from zenostat.topics.errors import InvalidConfig, InvalidRecording
 from zenostat.topics.messages import Command, OnFull, RecordingState
 
 
-def numbers(path: Path) -> list[int]:
-    with RecordingReader(path) as reader:
-        return [int.from_bytes(item.payload[:4], "little") for item in reader.messages({"Sample"})]
-
-
 def test_recording__all_messages_are_there_in_order(tmp_path: Path) -> None:
     path = record_samples(tmp_path / "a.mcap", 6000)
-    assert numbers(path) == [*range(6000)]
+    assert sample_numbers(path) == [*range(6000)]
     assert len(chunk_ends(path)) >= 2
 
 
@@ -67,9 +62,9 @@ def test_recording__is_written_while_the_clock_is_set_back(tmp_path: Path, monke
         recorder.add(SAMPLES, number.to_bytes(4, "little"))
         offsets_ns[0] = hour_ns
     until(lambda: recorder.status().messages, "a chunk is written")
-    assert numbers(path)[:1] == [0]
+    assert sample_numbers(path)[:1] == [0]
     recorder.close()
-    assert numbers(path) == [0, 1, 2]
+    assert sample_numbers(path) == [0, 1, 2]
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         statistics = reader.get_summary().statistics
@@ -128,7 +123,7 @@ def test_recording__full_buffer_makes_the_node_wait_and_drops_nothing(tmp_path: 
     recorder.close()
     reader.join()
     (tmp_path / "b.mcap").write_bytes(pipe.content)
-    assert numbers(tmp_path / "b.mcap") == [*range(1500)]
+    assert sample_numbers(tmp_path / "b.mcap") == [*range(1500)]
     with RecordingReader(tmp_path / "b.mcap") as opened:
         list(opened.messages())
         assert int(opened.end.metadata["waits"]) > 0
@@ -167,7 +162,7 @@ def test_full_buffer__stops_the_recording_if_so_configured(tmp_path: Path) -> No
     assert "the disk is slower than the node" in reasons[0]
     assert recorder.status().state is RecordingState.STOPPED
     (tmp_path / "b.mcap").write_bytes(pipe.content)
-    kept = numbers(tmp_path / "b.mcap")
+    kept = sample_numbers(tmp_path / "b.mcap")
     assert 0 < len(kept) < 1500
     assert kept == [*range(len(kept))]  # without a gap
     with RecordingReader(tmp_path / "b.mcap") as opened:
@@ -192,7 +187,7 @@ def test_recording__full_disk_stops_the_recording_by_name_and_leaves_whole_chunk
     with files_up_to(2_500_000):
         record_samples(path, 12_000, on_stopped=reasons.append)
     assert reasons == [f"cannot write {path}: File too large"]
-    kept = numbers(path)
+    kept = sample_numbers(path)
     assert 0 < len(kept) < 12_000
     assert kept == [*range(len(kept))]
     assert chunk_ends(path)
@@ -281,7 +276,7 @@ def test_recording__moved_file_is_complete_up_to_there(tmp_path: Path) -> None:
     recorder.add(SAMPLES, bytes(4))
     recorder.close()
     assert recorder.status().state is RecordingState.STOPPED
-    assert numbers(tmp_path / "b.mcap") == [*range(5)]
+    assert sample_numbers(tmp_path / "b.mcap") == [*range(5)]
     with RecordingReader(tmp_path / "b.mcap") as opened:
         list(opened.messages())
         assert opened.end.is_complete

@@ -166,3 +166,9 @@ def cut(
             writer.add(AUDIT, item.time_ns, codec.encode(record))
         writer.flush()
     return target
+
+
+def sample_numbers(path: Path) -> list[int]:
+    """Return the numbers with which the samples of `record_samples` begin."""
+    with RecordingReader(path) as reader:
+        return [int.from_bytes(item.payload[:4], "little") for item in reader.messages({"Sample"})]
