@@ -16,6 +16,7 @@ from typing import Any
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 
 from zenostat.recording import load
 from zenostat.views.report import theme
@@ -147,9 +148,10 @@ def draw_continued(trained: list[list[dict[str, Any]]], baseline: float, path: P
     for place, evaluated in enumerate(trained):
         label = ", ".join(f"{evaluated[0][name]:g}" for name in SEARCHED)
         years, rewards = zip(*((row["step"] / YEAR, row["mean_reward"]) for row in evaluated), strict=True)
-        axes.plot(years, rewards, color=mpl.colormaps["viridis"](place / max(len(trained), 2)), label=label)
+        axes.plot(years, rewards, color=mpl.colormaps["tab10"](place % 10), label=label)
     axes.axhline(baseline, color=theme.LIGHT["muted"], linestyle=theme.series_dashes(2), label="baseline")
     axes.set(title="The best combinations, continued", xlabel="years of training", ylabel="mean reward")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.legend(title=", ".join(SEARCHED).replace("_", " "), loc="center left", bbox_to_anchor=(1, 0.5))
     save(figure, path)
 

@@ -166,18 +166,27 @@ def title(row: dict[str, Any]) -> str:
     return ", ".join(f"`{name}` {row[name]:g}" for name in SEARCHED)
 
 
-def continued_table(trained: list[list[dict[str, Any]]]) -> list[str]:
+def continued_table(trained: list[list[dict[str, Any]]], baseline: dict[str, Any]) -> list[str]:
     """Return a table with the first, the best and the last evaluation of the combinations that were continued."""
-    lines = ["| combination | years | reward | W | W, meter | K |", "|---" * 6 + "|"]
+
+    def line(name: str, years: str, row: dict[str, Any]) -> str:
+        reward = f"{row['mean_reward']:.4f}".replace("-", MINUS)
+        numbers = f"{power_w(row):,.0f} | {metered_w(row):,.0f} | {row['mean_deviation_k']:.4f}"
+        return f"| {name} | {years} | {reward} | {numbers} |"
+
+    lines = ["| combination | years | reward | W | W, meter | K |", "|---" * 6 + "|", line("`baseline`", "", baseline)]
     for evaluated in trained:
         best = max(evaluated, key=lambda row: row["mean_reward"])
         shown = {row["step"]: row for row in (evaluated[0], best, evaluated[-1])}
-        for row in shown.values():
-            numbers = (
-                f"{row['step'] / YEAR:.0f} | {row['mean_reward']:.4f} | {power_w(row):,.0f} | {metered_w(row):,.0f}"
-            )
-            lines.append(f"| {title(row)} | {numbers.replace('-', MINUS)} | {row['mean_deviation_k']:.4f} |")
-    return lines
+        lines += [line(title(row), f"{row['step'] / YEAR:.0f}", row) for row in shown.values()]
+    first, last = (statistics.fmean(rows[place]["mean_reward"] for rows in trained) for place in (0, -1))
+    best = max((row for rows in trained for row in rows), key=lambda row: row["mean_reward"])
+    change = 100.0 * (metered_w(best) / metered_w(baseline) - 1.0)
+    text = (
+        f"Mean of the first evaluations: {first:.4f}, of the last ones: {last:.4f}. The best of all evaluations, "
+        f"{best['mean_reward']:.4f} after {best['step'] / YEAR:.0f} years, needs {change:+.1f} % energy by the meters."
+    )
+    return [*lines, "", text.replace("-", MINUS)]
 
 
 def replace_block(text: str, name: str, lines: list[str]) -> str:
@@ -203,7 +212,8 @@ def page_text(text: str, published: Path) -> str:
     text = replace_block(text, "agents", agent_table(published / "agents.csv"))
     first, trained = read_search(published / "search.csv")
     text = replace_block(text, "search", search_table(first))
-    return replace_block(text, "continued", continued_table(trained))
+    baseline = read_rows(published / "ppo" / "references.csv")[0]
+    return replace_block(text, "continued", continued_table(trained, baseline))
 
 
 def main() -> None:
