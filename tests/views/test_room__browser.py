@@ -204,8 +204,8 @@ def test_room__override_is_written_with_its_source_and_relinquished(ada: Visitor
     bus.write("office", SETPOINT, None, priority=5)
     page.locator(".drawer tr.effective", has_text="8 · manual operator").wait_for()
     page.get_by_role("button", name="Relinquish priority 8").focus()
-    bus.write("office", SETPOINT, 29.0, priority=12)
-    page.locator(".drawer tr", has_text="29.0 °C").wait_for()
+    bus.write("office", SETPOINT, 29.04, priority=12)
+    page.locator(".drawer tr", has_text="29.04 °C").wait_for()
     page.keyboard.press("Space")
     page.locator(".drawer tr.effective", has_text="12").wait_for()
     assert bus.priorities("office")[SETPOINT][7].value is None

@@ -47,8 +47,9 @@ export function withUnit(value, unit) {
   return text === "–" || !unit ? text : `${text}\u00a0${unit}`;
 }
 
-/** A number that somebody has chosen, with six significant digits and its unit. */
+/** A number that somebody has chosen, with six significant digits and its unit; an en dash where there is none. */
 export function exact(value, unit) {
+  if (value === null || value === undefined) return "–";
   const text = String(Number(value.toPrecision(6))).replaceAll("-", "\u2212");
   return unit ? `${text}\u00a0${unit}` : text;
 }

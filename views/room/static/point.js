@@ -2,7 +2,7 @@
 
 import { get, nodePath, operate } from "./api.js";
 import { fill, h, icon, refill, setText } from "./dom.js";
-import { duration, hoursBefore, num, shortTime, shown, withUnit, words } from "./format.js";
+import { duration, exact, hoursBefore, num, shortTime, shown, withUnit, words } from "./format.js";
 import { eventItem } from "./panels.js";
 import { forOperators, mayChange, refusalNote } from "./session.js";
 import { chart, loadHistory } from "./trends.js";
@@ -112,7 +112,7 @@ export class PointPanel {
     const first = used[0]?.priority;
     const rows = used.map((entry) => h("tr", { class: entry.priority === first ? "effective" : null },
       h("th", { scope: "row" }, priorityName(entry.priority)),
-      h("td", { class: "number" }, withUnit(entry.value, point.unit)),
+      h("td", { class: "number" }, exact(entry.value, point.unit)),
       h("td", {}, entry.source),
       h("td", {}, entry.expires ? shortTime(entry.expires) : "–"),
       h("td", {}, h("button", forOperators({ class: "small", "aria-label": `Relinquish priority ${entry.priority}`, onclick: () => this.relinquish(entry.priority) }), "Relinquish"))));
@@ -135,7 +135,7 @@ export class PointPanel {
       const actuator = place - (this.description.points.length - (state.source?.length ?? 0));
       const source = state.sources?.[state.source?.[actuator]];
       const command = state.commanded?.[actuator];
-      setText(this.note, source ? `Set by ${source}${command === null ? "" : ` to ${withUnit(command, point.unit)}`}` : "Under baseline control");
+      setText(this.note, source ? `Set by ${source}${command === null ? "" : ` to ${exact(command, point.unit)}`}` : "Under baseline control");
       if (this.input && !this.isFilled && value !== null) { this.input.value = value; this.isFilled = true; }
     } else setText(this.note, words(point.kind));
     if (isFirst) this.trend();

@@ -1,7 +1,7 @@
 // Tables: the zones, and all points with a search.
 
 import { fill, h, icon, setAttribute, setText } from "./dom.js";
-import { num, shown, withUnit, words } from "./format.js";
+import { exact, num, shown, withUnit, words } from "./format.js";
 import { mayChange } from "./session.js";
 import { change, view } from "./view.js";
 
@@ -169,7 +169,7 @@ export class PointTable {
       setText(cells.value, withUnit(shown(point, value), point.unit));
       if (point.kind === "actuator") {
         const actuator = place - first;
-        setText(cells.command, num(state.commanded?.[actuator], point.unit));
+        setText(cells.command, exact(state.commanded?.[actuator]));
         sourceChip(cells.source, sourceOf(state, actuator));
       }
       alarmChip(cells.alarm, alarms.get(point.id));
