@@ -219,6 +219,7 @@ export class NodePage {
     this.steps = h("span", { class: "muted" });
     this.chip = h("span", { class: "chip" });
     this.paceText = h("span", { class: "muted" });
+    const building = h("span", { class: "muted" }, [description.building, description.location || description.weather].filter(Boolean).join(" · "));
     this.pauseButton = h("button", forOperators({ class: "transport", onclick: () => this.togglePause() }));
     this.stepButton = h("button", forOperators({ class: "transport", "aria-label": "One timestep", title: "One timestep (.)", onclick: () => operate(this.node, "step", { steps: 1 }) }), icon("step"));
     this.mode = h("select", forOperators({ "aria-label": "Mode", onchange: () => this.setPace(this.state.speed) }), ["lockstep", "paced", "free"].map((mode) => h("option", { value: mode }, mode)));
@@ -230,7 +231,7 @@ export class NodePage {
       onclick: () => openDialog({ title: "Reset", submit: () => operate(this.node, "reset") },
         h("p", {}, `End this episode of ${this.node} and begin a new one? Its history starts anew.`)) }), icon("reset"));
     return h("section", { class: "bar panel", "aria-label": "Time" },
-      h("div", { class: "bar-time" }, this.time, h("div", { class: "row" }, this.progress, this.steps)),
+      h("div", { class: "bar-time" }, this.time, h("div", { class: "row" }, this.progress, this.steps), building),
       h("div", { class: "bar-state" }, this.chip, this.paceText),
       h("span", { class: "grow" }),
       h("div", { class: "row controls" }, this.pauseButton, this.stepButton,
