@@ -410,6 +410,17 @@ def test_room__overview_keeps_the_focus_of_a_card_that_changes(ada: Visitor, roo
     assert link.evaluate("link => link === document.activeElement")
 
 
+def test_room__press_on_a_card_that_changes_is_a_click(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:
+    page = ada.open(room.url)
+    page.get_by_role("link", name="office", exact=True).hover()
+    page.mouse.down()
+    bus.step("office")
+    page.locator(f"progress[aria-label^='Step {bus.status('office').step[0]} of']").wait_for()
+    page.mouse.up()
+    page.locator(".bar", has_text=f"{bus.manifest('office').building} · ").wait_for()
+    assert "node=office" in page.url
+
+
 def test_room__strangers_requests_are_rejected(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:
     paused, own = bus.status("office").paused, cookies(ada.open(room.url))
     url, host = f"{room.url}/api/nodes/office/resume", room.url.removeprefix("http://")

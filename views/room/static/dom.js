@@ -2,6 +2,9 @@
 
 const SVG = "http://www.w3.org/2000/svg";
 
+/** Children of all lists, without those that are nothing. */
+const shown = (children) => children.flat(Infinity).filter((child) => child !== null && child !== undefined && child !== false);
+
 function build(element, attributes, children) {
   for (const [name, value] of Object.entries(attributes ?? {})) {
     if (value === null || value === undefined || value === false) continue;
@@ -9,7 +12,7 @@ function build(element, attributes, children) {
     else if (name === "value" || name === "checked" || name === "selected") element[name] = value;
     else element.setAttribute(name, value === true ? "" : String(value));
   }
-  element.append(...children.flat(Infinity).filter((child) => child !== null && child !== undefined && child !== false));
+  element.append(...shown(children));
   return element;
 }
 
@@ -25,18 +28,26 @@ export function s(tag, attributes, ...children) {
 
 /** Replace an element's children. */
 export function fill(element, ...children) {
-  element.replaceChildren(...children.flat(Infinity).filter((child) => child !== null && child !== undefined && child !== false));
+  element.replaceChildren(...shown(children));
   return element;
 }
 
 const labelOf = (control) => control.getAttribute("aria-label") ?? control.textContent;
 
-/** Replace an element's children; the focus stays on the control of the same label, or else on the element. */
+/**
+ * Replace an element's children by elements. Those that it has already stay in place, so that a press on them is a click;
+ * the focus stays on its control, or that of the same label, or else on the element.
+ */
 export function refill(element, ...children) {
   const focused = document.activeElement, hadFocus = element.contains(focused) && element !== focused;
-  fill(element, ...children);
-  if (!hadFocus) return;
-  const control = [...element.querySelectorAll("a, button, input, select, summary")].find((each) => labelOf(each) === labelOf(focused));
+  const next = shown(children);
+  for (const child of [...element.childNodes]) if (!next.includes(child)) child.remove();
+  next.forEach((child, place) => {
+    if (child !== element.childNodes[place]) element.insertBefore(child, element.childNodes[place] ?? null);
+  });
+  if (!hadFocus || document.activeElement === focused) return;
+  const controls = [...element.querySelectorAll("a, button, input, select, summary")];
+  const control = controls.find((each) => each === focused) ?? controls.find((each) => labelOf(each) === labelOf(focused));
   if (!control) { element.tabIndex = -1; element.dataset.kept = ""; }
   (control ?? element).focus();
 }

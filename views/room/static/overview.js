@@ -1,6 +1,6 @@
 // The list of all nodes.
 
-import { fill, h } from "./dom.js";
+import { fill, h, refill } from "./dom.js";
 import { counted, dateTime, rate, withUnit, words } from "./format.js";
 import { address, link } from "./view.js";
 
@@ -35,35 +35,30 @@ export class Overview {
   update(nodes) {
     this.empty.hidden = nodes.length > 0;
     const names = new Set(nodes.map((entry) => entry.node));
-    for (const [name, card] of this.cards) if (!names.has(name)) { card.remove(); this.cards.delete(name); }
-    nodes.forEach((entry) => {
-      const previous = this.cards.get(entry.node);
-      const text = JSON.stringify(entry);
-      if (previous?.dataset.content === text) return;
-      const card = this.card(entry);
-      card.dataset.content = text;
-      const hasFocus = previous?.contains(document.activeElement);
-      if (previous) previous.replaceWith(card); else this.list.append(card);
-      if (hasFocus) card.querySelector("a").focus();
-      this.cards.set(entry.node, card);
-    });
-    nodes.forEach((entry, place) => {  // only those out of place: a card that moves loses the focus
-      const card = this.cards.get(entry.node), at = this.list.children[place];
-      if (card !== at) this.list.insertBefore(card, at ?? null);
-    });
+    for (const name of this.cards.keys()) if (!names.has(name)) this.cards.delete(name);
+    refill(this.list, nodes.map((entry) => this.card(entry)));
   }
 
+  /** The card of a node, of which only what differs is made anew: a press on its link is a click. */
   card(entry) {
+    const { node } = entry, text = JSON.stringify(entry);
+    if (!this.cards.has(node)) {
+      const name = h("a", { class: "name", href: address({ node }, false), onclick: (event) => link(event, { node }) }, node);
+      this.cards.set(node, { element: h("article", { class: "panel card" }), head: h("div", { class: "row" }), name });
+    }
+    const card = this.cards.get(node);
+    if (card.text !== text) this.show(card, entry);
+    card.text = text;
+    return card.element;
+  }
+
+  show({ element, head, name }, entry) {
     const [state, kind] = nodeState(entry);
     const open = entry.alarms?.open ?? 0;
     const share = entry.online ? entry.step / Math.max(1, entry.steps) : 0;
-    const fact = (name, value) => value && [h("dt", {}, name), h("dd", {}, value)];
-    return h("article", { class: "panel card" },
-      h("div", { class: "row" },
-        h("a", { class: "name", href: address({ node: entry.node }, false), onclick: (event) => link(event, { node: entry.node }) }, entry.node),
-        h("span", { class: "grow" }),
-        open > 0 && h("span", { class: "chip alarm" }, counted(open, "alarm")),
-        h("span", { class: `chip ${kind}` }, state)),
+    const fact = (term, value) => value && [h("dt", {}, term), h("dd", {}, value)];
+    refill(head, name, h("span", { class: "grow" }), open > 0 && h("span", { class: "chip alarm" }, counted(open, "alarm")), h("span", { class: `chip ${kind}` }, state));
+    refill(element, head,
       h("p", { class: "muted" }, entry.branch_of ? `branch of ${entry.branch_of}` : [entry.building, entry.location || entry.weather].filter(Boolean).join(" · ")),
       entry.online ? [
         h("p", { class: "time" }, dateTime(entry.time)),

@@ -12,6 +12,8 @@ export class AlarmPanel {
   constructor(root, node) {
     this.root = root;
     this.node = node;
+    this.list = h("ul", { class: "alarms" });
+    this.items = new Map();
     this.text = "";
   }
 
@@ -21,24 +23,38 @@ export class AlarmPanel {
     if (text === this.text || this.root.contains(document.activeElement) && document.activeElement.matches("input, select")) return;
     this.text = text;
     alarms.sort((a, b) => ORDER.indexOf(a.state) - ORDER.indexOf(b.state) || (b.raised > a.raised ? 1 : -1));
-    refill(this.root, alarms.length ? h("ul", { class: "alarms" }, alarms.map((alarm) => this.item(alarm)))
+    refill(this.list, alarms.map((alarm) => this.item(alarm)));
+    refill(this.root, alarms.length ? this.list
       : h("p", { class: "empty" }, state.alarms?.length ? state.alarms.length === 1 ? "The alarm is normal." : `All ${state.alarms.length} alarms are normal.` : refusal() ? "No alarms are known here." : "This node has no alarm rules. Start it with --alarms FILE.yaml."));
   }
 
+  /** The item of an alarm; the same one for as long as only its value changes. */
   item(alarm) {
+    const text = JSON.stringify({ ...alarm, value: null }), previous = this.items.get(alarm.alarm);
+    const item = previous?.text === text ? previous : { text, ...this.newItem(alarm) };
+    setText(item.condition, this.condition(alarm));
+    this.items.set(alarm.alarm, item);
+    return item.element;
+  }
+
+  condition(alarm) {
     const limit = alarm.event_state === "low_limit" ? alarm.low : alarm.high;
     const unit = alarm.unit === "degC" ? "°C" : alarm.unit;
     const value = withUnit(alarm.value, unit);
-    const text = { normal: `${value}, normal again`, fault: "value is missing" }[alarm.event_state] ?? `${value}, ${words(alarm.event_state)} ${exact(limit, unit)}`;
+    return { normal: `${value}, normal again`, fault: "value is missing" }[alarm.event_state] ?? `${value}, ${words(alarm.event_state)} ${exact(limit, unit)}`;
+  }
+
+  newItem(alarm) {
+    const condition = h("span");
     const set = async (operation, content = {}) => { await operate(this.node, operation, { alarm: alarm.alarm, ...content }); };
     const longest = Math.min(14400, alarm.max_shelve_s);
-    return h("li", { class: alarm.is_open ? "open" : null },
+    const element = h("li", { class: alarm.is_open ? "open" : null },
       h("div", { class: "row wrap" },
         h("span", { class: `chip ${alarm.is_open ? "alarm" : "muted"}` }, words(alarm.state)),
         h("button", { class: "plain", onclick: () => change({ point: alarm.point }) }, alarm.alarm),
         h("span", { class: "grow" }),
         h("span", { class: "muted" }, alarm.priority)),
-      h("p", {}, text,
+      h("p", {}, condition,
         alarm.raised && ` · since ${shortTime(alarm.raised)}`, alarm.acknowledged_by && ` · acknowledged by ${alarm.acknowledged_by}`,
         alarm.set_aside_by && ` · ${words(alarm.state)} by ${alarm.set_aside_by}`, alarm.set_aside_until && ` until ${shortTime(alarm.set_aside_until)}`),
       alarm.text && h("p", { class: "muted" }, alarm.text),
@@ -47,6 +63,7 @@ export class AlarmPanel {
         alarm.is_open && h("button", forOperators({ class: "small primary", "aria-label": `Acknowledge ${alarm.alarm}`, onclick: () => this.ask("Acknowledge", alarm, (comment) => set("acknowledge", { comment })) }), "Acknowledge"),
         alarm.state === "shelved" ? h("button", forOperators({ class: "small", "aria-label": `Unshelve ${alarm.alarm}`, onclick: () => set("unshelve") }), "Unshelve")
           : alarm.state !== "out_of_service" && longest > 0 && h("button", forOperators({ class: "small", "aria-label": `Shelve ${alarm.alarm}`, onclick: () => this.ask(`Shelve for ${duration(longest)}`, alarm, (comment) => set("shelve", { duration_s: longest, comment })) }), `Shelve ${duration(longest)}`)));
+    return { element, condition };
   }
 
   ask(title, alarm, act) {

@@ -25,6 +25,10 @@ export class PointPanel {
     this.value = h("span", { class: "big" });
     this.note = h("p", { class: "muted" });
     this.canvas = h("div", { class: "chart" });
+    this.rows = new Map();
+    this.entries = h("tbody");
+    const heads = [["Priority", ""], ["Value", "number"], ["By", ""], ["Until", ""], ["", ""]];
+    this.table = h("table", {}, h("thead", {}, h("tr", {}, heads.map(([text, kind]) => h("th", { scope: "col", class: kind || null }, text || h("span", { class: "visually-hidden" }, "Change"))))), this.entries);
     this.array = h("div");
     this.events = h("ul", { class: "log" });
     const back = document.activeElement;
@@ -109,19 +113,25 @@ export class PointPanel {
   draw(content) {
     const { point } = this;
     const used = content.entries.map((entry, place) => ({ ...entry, priority: place + 1 })).filter((entry) => entry.value !== null);
-    const first = used[0]?.priority;
-    const rows = used.map((entry) => h("tr", { class: entry.priority === first ? "effective" : null },
+    const first = used[0]?.priority, isBaseline = !used.length;
+    refill(this.array, this.table);
+    refill(this.entries, used.map((entry) => this.row(entry, entry.priority === first)),
+      h("tr", { class: isBaseline ? "effective" : null }, h("th", { scope: "row" }, "baseline control"),
+        h("td", { class: "number" }, point.default === null || point.default === undefined ? "" : withUnit(point.default, point.unit)), h("td", {}, isBaseline ? "in effect" : ""), h("td"), h("td")));
+  }
+
+  /** The row of an entry; the same one for as long as nothing of the entry changes. */
+  row(entry, isEffective) {
+    const text = JSON.stringify([entry, isEffective]), previous = this.rows.get(entry.priority);
+    if (previous?.text === text) return previous.element;
+    const element = h("tr", { class: isEffective ? "effective" : null },
       h("th", { scope: "row" }, priorityName(entry.priority)),
-      h("td", { class: "number" }, exact(entry.value, point.unit)),
+      h("td", { class: "number" }, exact(entry.value, this.point.unit)),
       h("td", {}, entry.source),
       h("td", {}, entry.expires ? shortTime(entry.expires) : "–"),
-      h("td", {}, h("button", forOperators({ class: "small", "aria-label": `Relinquish priority ${entry.priority}`, onclick: () => this.relinquish(entry.priority) }), "Relinquish"))));
-    const isBaseline = !used.length;
-    refill(this.array, h("table", {},
-      h("thead", {}, h("tr", {}, [["Priority", ""], ["Value", "number"], ["By", ""], ["Until", ""], ["", ""]].map(([text, kind]) => h("th", { scope: "col", class: kind || null }, text || h("span", { class: "visually-hidden" }, "Change"))))),
-      h("tbody", {}, rows,
-        h("tr", { class: isBaseline ? "effective" : null }, h("th", { scope: "row" }, "baseline control"),
-          h("td", { class: "number" }, point.default === null || point.default === undefined ? "" : withUnit(point.default, point.unit)), h("td", {}, isBaseline ? "in effect" : ""), h("td"), h("td")))));
+      h("td", {}, h("button", forOperators({ class: "small", "aria-label": `Relinquish priority ${entry.priority}`, onclick: () => this.relinquish(entry.priority) }), "Relinquish")));
+    this.rows.set(entry.priority, { text, element });
+    return element;
   }
 
   update(state) {
