@@ -1,7 +1,7 @@
 // Trends by uPlot: the history that the node keeps, then each new sample; zoomed by dragging.
 
 import { get, nodePath } from "./api.js";
-import { fill, h, icon } from "./dom.js";
+import { fill, h, icon, refill } from "./dom.js";
 import { clock, counted, DAYS, hoursBefore, seconds, shown, ticks, withUnit } from "./format.js";
 import { change, view } from "./view.js";
 
@@ -326,7 +326,7 @@ export class Trends {
       this.plot = null;
       const text = this.emptyText();
       fill(this.canvas, h("p", { class: "empty" }, text));
-      fill(this.legend);
+      refill(this.legend);
       return;
     }
     const next = this.series(data), left = this.wanted().length - next.length;
@@ -349,7 +349,7 @@ export class Trends {
       onZoom: (from, to) => change({ from: iso(from), to: iso(to) }, { replace: true }),
       onReset: () => change({ from: null, to: null }, { replace: true }) });
     const removable = this.chosen().length > 0;
-    fill(this.legend, left > 0 && h("li", { class: "muted" }, `the first ${MAX_LINES}; ${counted(left, "other")} not drawn`), series.map((each, column) => h("li", {},
+    refill(this.legend, left > 0 && h("li", { class: "muted" }, `the first ${MAX_LINES}; ${counted(left, "other")} not drawn`), series.map((each, column) => h("li", {},
       swatch(each), h("span", {}, each.label),
       h("span", { class: "number legend-value", "data-column": column }, withUnit(last(each.values), each.unit)),
       removable && h("button", { class: "quiet small", "aria-label": `Remove ${each.label}`, onclick: () => this.toggle(each.name) }, icon("close")))));
