@@ -11,7 +11,7 @@ from support.nodes import NodeProgram, until
 
 import zenostat
 from zenostat.topics import yaml12
-from zenostat.topics.messages import Event, EventKind
+from zenostat.topics.messages import Event, EventKind, Reset
 
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
@@ -484,6 +484,28 @@ def test_points__sensor_and_actuator_of_one_name_are_two(
     assert [(fault.points, fault.actuators) for fault in bus.fault_plan("same").faults] == [
         (("level",), ()), ((), ("level",)),
     ]  # fmt: skip
+
+
+def test_what_if__answer_is_of_its_episode(ada: Visitor, room: Any, bus: zenostat.Bus, same: NodeProgram) -> None:
+    page = ada.open(f"{room.url}/?node=same&tab=what-if")
+    page.locator(".clock", has_text="2026").wait_for()
+    for _ in range(2):
+        page.locator("#what-if-point").fill("level")
+        page.get_by_role("button", name="Add", exact=True).click()
+        page.get_by_role("button", name="Remove Level").focus()
+        page.keyboard.press("Space")
+        page.locator(".what-if-row").wait_for(state="detached")
+        page.keyboard.press("Space")  # the button is gone; it is no request to go on
+    page.locator("#what-if-point").fill("level")
+    page.get_by_role("button", name="Add", exact=True).click()
+    page.get_by_role("button", name="Simulate").click()
+    page.get_by_role("heading", name="24 h from Mon 12 Jan 2026, 00:00").wait_for()
+    apply = page.get_by_role("button", name="Apply for 24 h")
+    assert apply.is_enabled()
+    bus.reset("same", Reset(controller="eve"))
+    page.get_by_text("The node has begun another episode since.").wait_for()
+    assert apply.is_disabled()
+    assert bus.status("same").paused
 
 
 def test_trainings__names_with_commas_are_chosen(ada: Visitor, room: Any) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from datetime import datetime
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -153,7 +152,7 @@ def _compare(
     stride = max(1, -(-len(times) // _MAX_SAMPLES))
     data: dict[str, Any] = {
         "node": description.manifest.node,
-        "from": _begin(description, times[0]),
+        "from": content["begin"],
         "to": times[-1],
         "totals": {name: content[name]["totals"] for name in futures},
     }
@@ -166,11 +165,6 @@ def _compare(
             for point, place in zip(points, places, strict=True)
         }
     return Content(data)
-
-
-def _begin(description: NodeDescription, end: str) -> str:
-    """Return the time at which the timestep that ends at `end` begins."""
-    return (datetime.fromisoformat(end) - description.manifest.timestep).isoformat()
 
 
 def _difference(totals: Mapping[str, float | None], reference: Mapping[str, float | None]) -> dict[str, float | None]:

@@ -293,7 +293,7 @@ def _steps_per_request(manifest: Manifest) -> int:
 
 
 def futures_content(description: NodeDescription, futures: Mapping[str, list[Sample]]) -> dict[str, Any]:
-    """Return the times, and for each future the values of all points and the totals."""
+    """Return the episode, begin and times, and for each future the values of all points and the totals."""
     manifest = description.manifest
     width, actuators = len(manifest.points), len(manifest.actuators)
     result: dict[str, Any] = {}
@@ -303,6 +303,8 @@ def futures_content(description: NodeDescription, futures: Mapping[str, list[Sam
         values = np.stack([codec.floats(each, (width,), "values") for each in raw])
         effective = np.stack([codec.floats(sample.effective, (actuators,), "effective") for sample in samples])
         times = [datetime.fromisoformat(sample.time[0]) for sample in samples]
+        result["episode"] = samples[0].episode[0]
+        result["begin"] = (times[0] - manifest.timestep).isoformat()
         result["time"] = [time.isoformat() for time in times]
         result[name] = {
             "series": [numbers(column) for column in np.hstack([values, effective]).T],

@@ -1,8 +1,8 @@
 // The question "what if": setpoints or another controller on a copy of the building, beside the building as it is.
 
 import { copyText, get, nodePath, post, toast } from "./api.js";
-import { fill, h, setAttribute, setText } from "./dom.js";
-import { counted, num, seconds, shown, words } from "./format.js";
+import { fill, h, refill, setAttribute, setText } from "./dom.js";
+import { counted, dateTime, num, seconds, shown, words } from "./format.js";
 import { priorityName } from "./point.js";
 import { field } from "./schema_form.js";
 import { mayChange, refusalNote } from "./session.js";
@@ -100,10 +100,14 @@ export class WhatIfPanel {
       draw();
     });
     const drawn = h("datalist", { id: "what-if-drawn" }, points.slice(0, 2000).map((point) => h("option", { value: point.id }, point.label)));
-    fill(this.result, h("h3", {}, `Next ${num(answer.as_is.totals.hours)} h`), this.totals(answer, name),
-      h("div", { class: "row wrap drawn" }, choice, other, drawn, legend, h("span", { class: "grow" }), asked.values && h("button", { class: "primary", onclick: (event) => this.apply(asked, event.target) }, `Apply for ${asked.hours} h`)), canvas,
+    const apply = asked.values && h("button", { class: "primary", onclick: () => this.apply(asked, apply) }, `Apply for ${asked.hours} h`);
+    const ended = h("p", { class: "problem", role: "status", hidden: true }, "The node has begun another episode since.");
+    this.answered = { episode: answer.episode, ended, apply };
+    fill(this.result, h("h3", {}, `${num(answer.as_is.totals.hours)} h from ${dateTime(answer.begin)}`), ended, this.totals(answer, name),
+      h("div", { class: "row wrap drawn" }, choice, other, drawn, legend, h("span", { class: "grow" }), apply), canvas,
       asked.controller && this.start(answer.command, asked));
     draw();
+    this.checkEpisode();
     this.result.scrollIntoView({ block: "nearest" });
   }
 
@@ -158,6 +162,7 @@ export class WhatIfPanel {
     } catch (error) { toast(error.message, true); }
     setText(button, text);
     button.disabled = false;
+    this.checkEpisode();
     toast(`${count} of ${counted(writes.length, "value")} applied for ${hours} h`);
   }
 
@@ -172,7 +177,17 @@ export class WhatIfPanel {
       code, h("div", { class: "row end" }, h("button", { type: "button", onclick: () => copyText(code) }, "Copy")));
   }
 
-  update(state) { this.state = state; }
+  update(state) {
+    this.state = state;
+    this.checkEpisode();
+  }
+
+  /** Close what an answer from another episode offers. */
+  checkEpisode() {
+    if (!this.answered || this.answered.episode === this.state?.episode) return;
+    this.answered.ended.hidden = false;
+    if (this.answered.apply) this.answered.apply.disabled = true;
+  }
 }
 
 /** Values of actuators to try. */
@@ -209,11 +224,13 @@ class Setpoints {
     const now = shown(point, this.panel.state?.values?.[place]);
     const input = h("input", { type: "number", step: "any", required: true, "aria-label": label, value: now ?? "", min: point.low ?? undefined, max: point.high ?? undefined });
     const row = h("div", { class: "row what-if-row" }, h("span", { class: "grow" }, label), input, h("span", { class: "muted unit" }, point.unit),
-      h("button", { type: "button", class: "quiet small", "aria-label": `Remove ${label}`, onclick: () => { this.changes.delete(label); row.remove(); } }, "×"));
-    this.changes.set(label, { names, input });
-    this.rows.append(row);
+      h("button", { type: "button", class: "quiet small", "aria-label": `Remove ${label}`, onclick: () => { this.changes.delete(label); this.show(); } }, "×"));
+    this.changes.set(label, { names, input, row });
+    this.show();
     input.focus();
   }
+
+  show() { refill(this.rows, [...this.changes.values()].map(({ row }) => row)); }
 
   /** The question, or null if nothing is to be tried. */
   question() {
