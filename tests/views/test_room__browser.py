@@ -54,7 +54,7 @@ class Tank:
 '''
 
 
-LONG_NAMES = """() => document.querySelectorAll(".crumb, .drawer h2, .drawer .code")
+LONG_NAMES = """() => document.querySelectorAll(".crumb, .bar-time > .muted, .drawer h2, .drawer .code")
     .forEach(element => { element.textContent = "a_long_name".repeat(9); })"""
 
 
