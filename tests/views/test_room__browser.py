@@ -252,7 +252,7 @@ def test_room__alarm_is_acknowledged_and_shelved(ada: Visitor, room: Any, bus: z
     page.locator(".alarms li", has_text="acknowledged by ada").wait_for()
     (alarm,) = bus.alarms("office").alarms
     assert (alarm.state, alarm.acknowledged_by, alarm.comment) == ("acknowledged", "ada", "seen")
-    page.get_by_role("button", name="Shelve warm").click()
+    page.get_by_role("button", name="Shelve 2 h: warm").click()
     page.locator("dialog").get_by_role("button", name="Shelve").click()
     page.locator(".alarms li", has_text="shelved by ada").wait_for()
     page.get_by_role("button", name="Unshelve warm").click()

@@ -62,7 +62,7 @@ export class AlarmPanel {
       h("div", { class: "row wrap" },
         alarm.is_open && h("button", forOperators({ class: "small primary", "aria-label": `Acknowledge ${alarm.alarm}`, onclick: () => this.ask("Acknowledge", alarm, (comment) => set("acknowledge", { comment })) }), "Acknowledge"),
         alarm.state === "shelved" ? h("button", forOperators({ class: "small", "aria-label": `Unshelve ${alarm.alarm}`, onclick: () => set("unshelve") }), "Unshelve")
-          : alarm.state !== "out_of_service" && longest > 0 && h("button", forOperators({ class: "small", "aria-label": `Shelve ${alarm.alarm}`, onclick: () => this.ask(`Shelve for ${duration(longest)}`, alarm, (comment) => set("shelve", { duration_s: longest, comment })) }), `Shelve ${duration(longest)}`)));
+          : alarm.state !== "out_of_service" && longest > 0 && h("button", forOperators({ class: "small", "aria-label": `Shelve ${duration(longest)}: ${alarm.alarm}`, onclick: () => this.ask(`Shelve for ${duration(longest)}`, alarm, (comment) => set("shelve", { duration_s: longest, comment })) }), `Shelve ${duration(longest)}`)));
     return { element, condition };
   }
 
