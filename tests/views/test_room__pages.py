@@ -578,6 +578,16 @@ def test_chart__axis_of_people_has_whole_numbers(ada: Visitor, room: Any) -> Non
     assert (low, high) == (0, 1)
 
 
+def test_trends__legend_keeps_the_focus_of_a_line_that_is_removed(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:
+    page = ada.open(f"{room.url}/?node=tank&trend=level,valve")
+    page.get_by_role("button", name="Remove Valve").focus()
+    page.keyboard.press("Space")
+    page.get_by_role("button", name="Remove Valve").wait_for(state="detached")
+    page.keyboard.press("Space")  # the button is gone; it is no request to go on
+    assert page.evaluate("document.activeElement.matches('.legend')")
+    assert bus.status("tank").paused
+
+
 BAND = """async ([module, low, high]) => {
     const { chart } = await import(module), root = document.createElement("div");
     document.body.append(root);
