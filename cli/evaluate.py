@@ -101,6 +101,12 @@ def evaluate(
         if file is not None:
             out.print(f"episodes: {file}")
         outputs.show()
+    by_text: dict[str, list[str]] = {}
+    for name, texts in evaluation.warnings.items():
+        for text in texts:
+            by_text.setdefault(text, []).append(name)
+    for text, names in by_text.items():
+        (err if as_json else out).warning(f"{', '.join(names)}: {text}")
     end_with_failures([f"{name}: {error}" for name, error in evaluation.failures.items()], "failed: ")
 
 

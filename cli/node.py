@@ -290,7 +290,7 @@ def _start(stack: ExitStack, config: NodeSettings, create: Callable[..., Node], 
 class ProgressBar:
     """Show a node's progress, at most ten times per second while it runs, and what its user has to know.
 
-    That is why its recording stopped early, and that another node has its name.
+    That is why its recording stopped early, that another node has its name, and warnings of its plant.
 
     Attributes:
         recording: returns the state of the node's recording.
@@ -301,6 +301,7 @@ class ProgressBar:
         self.recording: Callable[[], RecordingStatus | None] = lambda: None
         self.warning: Callable[[], str] = str
         self._stopped = self._warned = ""
+        self._warnings = 0
         self._bars = bars
         self._name = name
         self._bar = bars.add_task(f"{name}: starting", total=None, rate="")
@@ -312,6 +313,10 @@ class ProgressBar:
             self._warned = warning
             if warning:
                 out.warning(warning)
+        if len(node.plant_warnings) > self._warnings and not out.is_json:  # the log has all events
+            for text in [*node.plant_warnings][self._warnings :]:
+                out.warning(f"{self._name}: {text}")
+            self._warnings = len(node.plant_warnings)
         now, state = time.monotonic(), node.exchange.state
         if now - self._updated_s < 0.1 and state is State.WAITING and not node.exchange.awaiting():
             return

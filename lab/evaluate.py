@@ -9,6 +9,7 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, Protocol
 
 import gymnasium as gym
@@ -39,8 +40,10 @@ from zenostat.metrics.fuel_rates import Rate, read_emissions, read_prices
 from zenostat.metrics.statistics import MetricSummary, summarize
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
+from zenostat.topics import codec, keys
 from zenostat.topics.errors import InvalidAction, InvalidConfig, UsageError, ZenostatError, did_you_mean, repeated
 from zenostat.topics.keys import safe_name
+from zenostat.topics.messages import Event, EventKind
 from zenostat.topics.printable import replace_controls
 from zenostat.topics.recording import SUFFIX
 
@@ -52,6 +55,8 @@ ControllerFactory = Callable[..., ControllerProtocol]
 
 _ADDED_SENSOR = re.compile(r"_next(_\d+)?$")
 """Name of a sensor of the next value of a schedule, which relative actions add."""
+
+_MOST_WARNINGS = 20
 
 _OF_ACTIONS = ("relative", "unobserved")
 
@@ -180,6 +185,8 @@ class Evaluation:
         sources: by metric, the point or reward that it is derived from.
         unfit: by controller that was skipped since it does not fit the scenario, the reason.
         failures: by controller whose episodes ended with an error, as of its own code, the error; it has no rows.
+        warnings: by controller whose node published any, the distinct texts of its warnings, as of severe errors that
+            EnergyPlus reported in a run that goes on; the first ones if they are many.
         traces: by controller, samples and weather for reports; empty unless `evaluate` was called with `trace=True`.
         scenario: the scenario as the text of a scenario file (YAML); only with `trace=True`.
     """
@@ -188,6 +195,7 @@ class Evaluation:
     sources: dict[str, str]
     unfit: dict[str, str] = field(default_factory=dict)
     failures: dict[str, str] = field(default_factory=dict)
+    warnings: dict[str, list[str]] = field(default_factory=dict)
     traces: dict[str, ControllerTrace] = field(default_factory=dict)
     scenario: str = ""
 
@@ -314,6 +322,7 @@ def evaluate(
     created: dict[str, ControllerProtocol] = {}
     unfit: dict[str, UsageError] = {}
     failures: dict[str, Exception] = {}
+    warnings: dict[str, list[str]] = {}
     traces: dict[str, ControllerTrace] = {}
     text = ""
     for name in sorted(factories, key=lambda key: is_baseline_factory(factories[key])):
@@ -330,7 +339,8 @@ def evaluate(
                     recorder = TrajectoryRecorder(env.manifest) if trace else None
                     within = within_context(env, wrappers)
                     run = partial(run_episode, within, prices=prices, emissions=emissions)
-                    rows[name], weathers = _run_episodes(name, created[name], run, env, seeds, progress, recorder)
+                    with _node_warnings(env) as warnings[name]:
+                        rows[name], weathers = _run_episodes(name, created[name], run, env, seeds, progress, recorder)
                     if recorder is not None:
                         source_names = {getattr(env.link, "name", ""): name}
                         traces[name] = ControllerTrace(recorder.trajectory(source_names), weathers, env.reward)
@@ -347,6 +357,7 @@ def evaluate(
     in_order = sorted(traces, key=lambda key: (not is_baseline_factory(factories[key]), list(factories).index(key)))
     return Evaluation(
         tuple(row for name in factories for row in rows.get(name, ())), sources, reasons, errors,
+        {name: warnings[name] for name in factories if warnings.get(name)},
         {name: traces[name] for name in in_order}, text,
     )  # fmt: skip
 
@@ -366,6 +377,23 @@ def _bus(env: BuildingEnv) -> Bus | None:
     """Return the bus of an environment; None if its samples come from elsewhere, as in tests."""
     bus = getattr(env.link, "bus", None)
     return bus if isinstance(bus, Bus) else None
+
+
+@contextmanager
+def _node_warnings(env: BuildingEnv) -> Iterator[list[str]]:
+    """Yield a list that has the distinct texts of the node's warnings at the end."""
+    texts, bus, node = list[str](), _bus(env), env.manifest.node
+    if bus is None:
+        yield texts
+        return
+    messages: SimpleQueue[bytes] = SimpleQueue()
+    with bus.session.declare_subscriber(keys.EVENT.at(node), lambda sent: messages.put(sent.payload.to_bytes())):
+        yield texts
+        bus.status(node)  # the reply comes after all events
+    while not messages.empty():
+        event = codec.decode(Event, messages.get())
+        if event.kind is EventKind.WARNING and event.text not in texts and len(texts) < _MOST_WARNINGS:
+            texts.append(event.text)
 
 
 def _create_controllers(

@@ -118,6 +118,16 @@ class EngineGroup:
             return self.clients[0].frame.values()
         return b"".join([client.frame.values() for client in self.clients])
 
+    def drain_step_warnings(self) -> list[str]:
+        """Return the warnings of the last timesteps; see `zenostat.bridge.node.plant.WarningPlant`."""
+        texts = []
+        for slot, client in enumerate(self.clients):
+            if client.warnings:
+                prefix = f"slot {slot}: " if len(self.clients) > 1 else ""
+                texts += [f"{prefix}{text}" for text in dict.fromkeys(client.warnings)]
+                client.warnings.clear()
+        return texts
+
     @property
     def has_baseline(self) -> bool:
         """Whether there are engines that receive no commands."""

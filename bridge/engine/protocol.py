@@ -28,7 +28,7 @@ A `REPEAT` order makes the engine send its present sample again. Its reply prove
 that has died may still wait in the socket, and the system reports a killed process as running for some milliseconds.
 
 A `WARNING` frame contains the length of a UTF-8 text in place of the step, and the text follows; then comes the sample
-to which the warning belongs. EnergyPlus sends none.
+to which the warning belongs. EnergyPlus sends its severe errors, each distinct text once.
 
 A `FAILED` frame contains the length of a UTF-8 text in place of the step, and the text follows.
 

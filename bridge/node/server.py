@@ -47,6 +47,8 @@ if TYPE_CHECKING:
 # For the hot path: in Python 3.11, looking up an enum's member raises and catches an error.
 _LOCKSTEP, _WAITING, _ENDED = Mode.LOCKSTEP, State.WAITING, State.ENDED
 
+MAX_PLANT_WARNINGS = 20
+
 Observer = Callable[["NodeServer"], None]
 
 
@@ -77,6 +79,7 @@ class NodeServer:
         latest_sample: the encoded latest sample.
         received: the actuator values that the plant received last, after faults; empty before the first timestep.
         on_event: called with each event.
+        plant_warnings: the first distinct texts of the plant's warnings, as keys.
     """
 
     def __init__(
@@ -92,6 +95,7 @@ class NodeServer:
         folder: Path,
     ) -> None:
         self.session, self.plant, self.manifest = session, plant, manifest
+        self.plant_warnings: dict[str, None] = {}
         self._warnings = plant if isinstance(plant, WarningPlant) else None
         self.exchange, self.history, self.alarms = exchange, history, alarms
         self._observer = observer
@@ -284,6 +288,8 @@ class NodeServer:
         """Publish the plant's warnings of the last timesteps as events."""
         if self._warnings is not None:
             for text in self._warnings.drain_step_warnings():
+                if len(self.plant_warnings) < MAX_PLANT_WARNINGS:
+                    self.plant_warnings[text] = None
                 self.event(self.exchange.event(EventKind.WARNING, text))
 
     def _announce_end(self) -> None:

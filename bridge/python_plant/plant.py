@@ -41,16 +41,6 @@ class PythonEngines(EngineGroup, PlantDefaults):
         self._numbers = itertools.count(1)
         self._kept = KeptCopies(self._copy)
 
-    def drain_step_warnings(self) -> list[str]:
-        """Return the warnings of the last timesteps; see `WarningPlant`."""
-        texts = []
-        for slot, client in enumerate(self.clients):
-            if client.warnings:
-                prefix = f"slot {slot}: " if len(self.clients) > 1 else ""
-                texts += [f"{prefix}{text}" for text in client.warnings]
-                client.warnings.clear()
-        return texts
-
     def fork(self, slots: Sequence[int], folder: Path, *, baseline: bool = False) -> PythonEngines:
         """Copy the processes of some slots; see `RunningPlant.fork`."""
         copies = self._copy_all(self.members(slots, baseline=baseline), folder)

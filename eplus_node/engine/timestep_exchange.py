@@ -21,6 +21,7 @@ from zenostat.bridge.engine.system_calls import fork_with_sockets, leave, reopen
 from zenostat.bridge.runtime.polling import Polling
 from zenostat.eplus_node.engine.huge_pages import collapse_huge_pages
 from zenostat.eplus_node.engine.memory import SaturationCache
+from zenostat.eplus_node.engine.severe_errors import SevereErrors
 from zenostat.models.engine_library import key_pattern, new_api
 
 RUN_PERIOD = 3
@@ -99,6 +100,7 @@ class Engine:
         # Of the latest zone timestep: means and sums, then states; empty if they are read at its end.
         self.system_values: list[float] = []
         self.scheduled = spec["scheduled"]
+        self.severe_errors = SevereErrors()
         self.has_program_variables = any(key.casefold() == _EMS_KEY and system for _, key, _, system in spec["sensors"])
 
     def _bind_library(self) -> None:
@@ -126,6 +128,7 @@ class Engine:
         if self.aggregated or self.has_program_variables:
             runtime.callback_end_system_timestep_after_hvac_reporting(self.state, self._guarded(self._on_system_step))
         runtime.callback_end_zone_timestep_after_zone_reporting(self.state, self._guarded(self._on_zone_step))
+        self.api.functional.callback_error(self.state, self.severe_errors.add)
         spec = self.spec
         code = runtime.run_energyplus(self.state, ["-w", spec["weather"], "-d", spec["folder"], spec["model"]])
         if code != 0:
@@ -133,9 +136,24 @@ class Engine:
         if self.step < self.steps and not self.finishing:
             self.fail(f"EnergyPlus ended the run after {self.step} of {self.steps} timesteps")
         if not self.finishing:
-            self.out[0] = FrameKind.LAST
-            self.frames.sendall(self.out)
+            self._send_last()
         leave(0)
+
+    def _send_last(self) -> None:
+        self._send_warnings(self.severe_errors.drain())
+        self.out[0], self.out[1] = FrameKind.LAST, self.step
+        self.frames.sendall(self.out)
+
+    def _repeat_warnings(self) -> None:
+        if not self.step:  # another episode begins here
+            self._send_warnings(self.severe_errors.repeat())
+
+    def _send_warnings(self, texts: Iterable[str]) -> None:
+        for text in texts:
+            raw = text.encode()
+            self.out[0], self.out[1] = FrameKind.WARNING, len(raw)
+            self.frames.sendall(self.out)
+            self.frames.sendall(raw)
 
     def _guarded(self, callback: Any) -> Any:
         # ctypes would print an exception and continue the simulation.
@@ -277,19 +295,20 @@ class Engine:
         if self.step < self.steps:
             self._exchange(state)
             return
-        self.out[1] = self.step  # sent by run(), once EnergyPlus has ended without an error
+        # Sent by run(), once EnergyPlus has ended without an error.
         if self.spec["branch"]:  # EnergyPlus's end of run would write into the folder of the forked engine
-            self.out[0] = FrameKind.LAST
-            self.frames.sendall(self.out)
+            self._send_last()
             leave(0)
 
     def _exchange(self, state: int) -> None:
         """Send the sample, wait for an order, and set or relinquish each actuator."""
         out, command = self.out, self.command
-        out[0], out[1] = _SAMPLE, self.step
         size = len(self.command_bytes)
         while True:
             try:
+                if self.severe_errors.lines:
+                    self._send_warnings(self.severe_errors.drain())
+                out[0], out[1] = _SAMPLE, self.step
                 written = os.write(self.frames_descriptor, out)
                 if written < self.out_size:
                     self.frames.sendall(memoryview(out).cast("B")[written:])
@@ -307,7 +326,9 @@ class Engine:
                 return
             if kind == _FORK:
                 self._fork()  # parent and child then both send the sample at which they wait
-            elif kind != _REPEAT:
+            elif kind == _REPEAT:
+                self._repeat_warnings()
+            else:
                 self.finishing = True
                 self.api.runtime.stop_simulation(state)
                 return
@@ -357,6 +378,7 @@ class Engine:
             replace_file(*spec["replaced_file"])
         if self.saturation:
             self.saturation.reset()
+        self._repeat_warnings()
 
     def _try_read(self) -> int | None:
         try:
