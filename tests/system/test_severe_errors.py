@@ -40,10 +40,10 @@ def _check(texts: list[str], mixers: dict[str, str]) -> None:
 def test_severe_errors__evaluation_has_each_once(mixers: dict[str, str], scratch: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of the model's nodes
-        found = evaluate(scratch / "scenario.yaml", ["baseline"], episodes=2).warnings
-    assert list(found) == ["baseline"]
-    assert len(found["baseline"]) == len(mixers) + 1
-    _check(found["baseline"], mixers)
+        reported = evaluate(scratch / "scenario.yaml", ["baseline"], episodes=2).warnings
+    assert list(reported) == ["baseline"]
+    assert len(reported["baseline"]) == len(mixers) + 1
+    _check(reported["baseline"], mixers)
 
 
 def test_severe_errors__are_below_the_table_of_evaluate(mixers: dict[str, str], scratch: Path) -> None:
