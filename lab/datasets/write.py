@@ -189,9 +189,9 @@ def _scenario(building: BuildingEnv) -> str:
 def _spec(env: gym.Env[Any, Any], building: BuildingEnv) -> EnvSpec | None:
     """Return the specification from which Minari recovers the environment, without paths of this machine if possible.
 
-    Wrappers of the scenario are put around it again when it is created, and do not belong in the specification.
+    `gymnasium.make` does not repeat the wrappers of the scenario, which the environment has when it is created.
     """
-    spec = building.spec if building.manifest.task.wrappers else env.spec
+    spec = env.spec
     if spec is None:
         return None
     is_of_file = "file" in spec.kwargs or Path(spec.kwargs.get("scenario") or "").suffix in (".yaml", ".yml")

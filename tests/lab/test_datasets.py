@@ -162,6 +162,21 @@ def test_datasets__epsilon_is_the_share_of_random_actions(folder: Path) -> None:
 
 
 @pytest.mark.slow
+def test_datasets__wrappers_within_and_around_the_scenario_are_recovered(folder: Path) -> None:
+    file = folder / "mine.yaml"
+    file.write_text(
+        "building: ref-small-office\nweather: USA_CO_Denver\nbegin: 07-03\nend: 07-03\nsteps_per_hour: 1\n"
+        "wrappers: [{wrapper: CyclicTime}]\n"
+    )
+    building = gym.make("zenostat/Scenario-v1", file=file, affinity="off")
+    with closing(gym.wrappers.ClipReward(w.PreviousObservation(building, ["core_zn_air_temperature"]), -0.1, 0.0)) as env:
+        write_dataset(env, ["rbc"], ID)
+        text, space = str(env), env.observation_space
+    with closing(minari.load_dataset(ID).recover_environment()) as recovered:
+        assert (str(recovered), recovered.observation_space) == (text, space)
+
+
+@pytest.mark.slow
 def test_datasets__scenario_file_is_not_needed_to_recover_the_environment(folder: Path) -> None:
     file = folder / "mine.yaml"
     file.write_text("building: ref-small-office\nweather: USA_CO_Denver\nbegin: 07-03\nend: 07-03\nsteps_per_hour: 1\n")
