@@ -114,7 +114,10 @@ class EvaluationCallback(BaseCallback):
             self._evaluate()
 
     def _on_step(self) -> bool:
-        self.training_episodes += int(np.count_nonzero(self.locals["dones"]))
+        dones = self.locals.get("dones")
+        if dones is None and self._counts_episodes:
+            raise InvalidConfig(f"{type(self.model).__name__} does not report the ends of episodes: use every= instead")
+        self.training_episodes += int(np.count_nonzero(dones)) if dones is not None else 0
         if self._count() >= self._due:
             self._set_due()
             self._evaluate()

@@ -274,6 +274,16 @@ def test_training__best_model_acts_within_the_wrappers_of_its_training(tmp_path:
     assert row.result.reward == pytest.approx(callback.results[48][0].reward, rel=1e-12)
 
 
+def test_training__callback_in_an_algorithm_that_does_not_report_ends_of_episodes() -> None:
+    contrib = pytest.importorskip("sb3_contrib")
+    model = contrib.ARS("LinearPolicy", fake(), n_delta=1, seed=0, device="cpu")
+    with EvaluationCallback(fake, every=48) as callback:
+        model.learn(48, callback=callback)
+    assert callback.results
+    with pytest.raises(InvalidConfig, match="ARS does not report the ends of episodes: use every= instead"):
+        model.learn(48, callback=EvaluationCallback(fake, every_episodes=1))
+
+
 def test_training__mistakes_in_a_callback(tmp_path: Path) -> None:
     for arguments in ({"every": 0}, {"every": 1, "episodes": 0}):
         with pytest.raises(InvalidConfig, match="numbers of at least 1 expected"):
