@@ -169,7 +169,8 @@ def test_datasets__wrappers_within_and_around_the_scenario_are_recovered(folder:
         "wrappers: [{wrapper: CyclicTime}]\n"
     )
     building = gym.make("zenostat/Scenario-v1", file=file, affinity="off")
-    with closing(gym.wrappers.ClipReward(w.PreviousObservation(building, ["core_zn_air_temperature"]), -0.1, 0.0)) as env:
+    with_previous = w.PreviousObservation(building, ["core_zn_air_temperature"])
+    with closing(gym.wrappers.ClipReward(with_previous, -0.1, 0.0)) as env:
         write_dataset(env, ["rbc"], ID)
         text, space = str(env), env.observation_space
     with closing(minari.load_dataset(ID).recover_environment()) as recovered:
