@@ -22,6 +22,9 @@ _END_S = 1.0
 _SHOWN = 200
 _NO_ANSWER = "it ended the connection without an answer; it may expect TLS, or a certificate of this client"
 
+_NOT_TLS = ("WRONG_VERSION_NUMBER", "PACKET_LENGTH_TOO_LONG", "RECORD_LAYER_FAILURE")
+"""OpenSSL's reasons for bytes that are no TLS."""
+
 _LOGGER = logging.getLogger(__name__)  # for aiomqtt: what goes wrong is in its exceptions as well
 _LOGGER.addHandler(logging.NullHandler())
 _LOGGER.propagate = False
@@ -170,8 +173,16 @@ async def connect(broker: Broker, status_topic: str, on_rejected: Callable[[str]
         raise
     except (aiomqtt.MqttError, OSError, ValueError) as error:
         await disconnect(client)
-        raise BusError(f"no connection to the MQTT broker {broker}: {error}") from None
+        hint = "; it may not speak TLS" if broker.tls is not None and _is_no_tls(error.__context__) else ""
+        raise BusError(f"no connection to the MQTT broker {broker}: {error}{hint}") from None
     return client
+
+
+def _is_no_tls(error: BaseException | None) -> bool:
+    """Return whether an error of a TLS handshake is that of a peer that does not speak TLS."""
+    if isinstance(error, ssl.SSLError):
+        return isinstance(error, ssl.SSLEOFError) or error.reason in _NOT_TLS
+    return isinstance(error, ConnectionResetError)
 
 
 async def disconnect(client: aiomqtt.Client) -> None:

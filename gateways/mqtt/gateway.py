@@ -6,6 +6,7 @@ import asyncio
 from collections import deque
 from collections.abc import Callable
 from contextlib import AsyncExitStack, suppress
+from itertools import chain, repeat
 from typing import TypeVar
 
 import aiomqtt
@@ -163,22 +164,13 @@ class MqttGateway:
         """Publish and carry out commands until cancelled; then answer those that wait."""
         executing = asyncio.create_task(self._execute())
         try:
-            attempt = 0
             while True:
                 try:
                     await self._serve(self._client)
                 except aiomqtt.MqttError as error:
                     self._notify(f"the broker {self._broker} is lost ({error}); reconnecting")
                     await disconnect(self._client)
-                while True:
-                    await asyncio.sleep(_RETRY_S[min(attempt, len(_RETRY_S) - 1)])
-                    attempt += 1
-                    try:
-                        self._client = await self._connect()
-                    except BusError:
-                        continue
-                    break
-                attempt = 0
+                self._client = await self._reconnect()
                 self.counts.reconnections += 1
                 self._notify(f"connected to the broker {self._broker} again")
         finally:
@@ -189,6 +181,17 @@ class MqttGateway:
 
     async def _connect(self) -> BrokerClient:
         return await connect(self._broker, f"{self._root}/status", self._on_rejected)
+
+    async def _reconnect(self) -> BrokerClient:
+        """Try to connect until it succeeds; each different reason why it fails is reported once."""
+        failures = Notices(self._notify)
+        for wait_s in chain(_RETRY_S, repeat(_RETRY_S[-1])):
+            await asyncio.sleep(wait_s)
+            try:
+                return await self._connect()
+            except BusError as error:
+                failures.add(str(error))
+        raise AssertionError("it tries for ever")
 
     async def _check_unused(self, client: BrokerClient) -> None:
         """Raise `NameInUse` if the gateway of another node publishes below the same topic."""

@@ -1,10 +1,15 @@
 """Order and loss of what the MQTT gateway publishes, and its connection, without a broker."""
 
 import asyncio
+import gc
+import warnings
+from contextlib import suppress
 from types import SimpleNamespace
 
+import aiomqtt
 import pytest
 
+from zenostat.gateways.mqtt import gateway as gateway_module
 from zenostat.gateways.mqtt.broker import Broker, connect
 from zenostat.gateways.mqtt.commands import Received
 from zenostat.gateways.mqtt.gateway import MAX_RESULTS, MAX_WAITING, MqttGateway
@@ -95,3 +100,60 @@ async def test_mqtt__broker_that_ends_the_connection_without_an_answer_is_said_t
         port = server.sockets[0].getsockname()[1]
         with pytest.raises(BusError, match="ended the connection without an answer"):
             await connect(Broker("127.0.0.1", port), "status", lambda _: None)
+
+
+@pytest.mark.parametrize("answer", [b"", b"220 mail.example ready\r\n", b"\x20\x03\x00\x87\x00"])
+def test_mqtt__broker_without_tls_is_said_to_be_one(answer: bytes) -> None:
+    """It ends the connection, or answers with a text or the bytes of MQTT."""
+
+    async def reject(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.read(1)  # the rest is not read, so that the connection is reset
+        writer.write(answer)
+        writer.close()
+
+    async def error() -> str:
+        async with await asyncio.start_server(reject, "127.0.0.1", 0) as server:
+            broker = Broker("127.0.0.1", server.sockets[0].getsockname()[1], tls=aiomqtt.TLSParameters())
+            with pytest.raises(BusError) as raised:
+                await connect(broker, "status", lambda _: None)
+            return str(raised.value)
+
+    with warnings.catch_warnings():  # paho leaves the socket of a failed handshake to the garbage collector
+        warnings.simplefilter("ignore", ResourceWarning)
+        text = asyncio.run(error())
+        gc.collect()
+    assert text.endswith("; it may not speak TLS")
+
+
+async def test_mqtt__each_reason_why_the_broker_cannot_be_reached_again_is_reported_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Connected(Exception):
+        """The gateway serves the new connection."""
+
+    notices: list[str] = []
+    gateway = MqttGateway(SimpleNamespace(name="office"), Broker("localhost", 1883), notify=notices.append)
+    gateway._client = aiomqtt.Client("localhost")
+    answers = ["refused", "refused", "not authorized", "refused", None]
+
+    async def connect_again(*_: object) -> aiomqtt.Client:
+        if (reason := answers.pop(0)) is not None:
+            raise BusError(reason)
+        return gateway._client
+
+    async def serve(_: object) -> None:
+        if not answers:
+            raise Connected
+        raise aiomqtt.MqttError("closed")
+
+    monkeypatch.setattr(gateway_module, "_RETRY_S", (0.0,))
+    monkeypatch.setattr(gateway_module, "connect", connect_again)
+    monkeypatch.setattr(gateway, "_serve", serve)
+    with suppress(Connected):
+        await gateway.run()
+    assert notices == [
+        "the broker localhost:1883 is lost (closed); reconnecting",
+        "refused",
+        "not authorized",
+        "connected to the broker localhost:1883 again",
+    ]
