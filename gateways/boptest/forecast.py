@@ -74,9 +74,10 @@ class Forecaster:
         if unknown := [name for name in names if name not in self.points]:
             raise unknown_names(unknown, "point_names")
         intervals = horizon_s / interval_s
-        if (intervals + 1) * (len(names) + 1) > MAX_VALUES:
+        size = (intervals + 1) * (len(names) + 1)
+        if size > MAX_VALUES:
             raise BadRequest(
-                f"the forecast would have {intervals + 1:g} times; at most {MAX_VALUES} values can be requested"
+                f"the forecast would have {size:.9g} values, including times; at most {MAX_VALUES} can be requested"
             )
         if horizon_s > MAX_HORIZON_S:
             raise BadRequest(f"The horizon of {horizon_s:g} s is longer than {MAX_HORIZON_S} s, the longest possible.")

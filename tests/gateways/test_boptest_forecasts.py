@@ -176,8 +176,9 @@ def test_boptest_forecasts__sunset_after_the_last_full_hour_is_dark():
 @pytest.mark.parametrize(
     ("horizon_s", "interval_s", "text"),
     [
-        (1e300, 1e-300, "at most 2000000 values"),
-        (3600.0, 1e-320, "at most 2000000 values"),
+        (1.0, 1e-6, "would have 2000002 values, including times; at most 2000000 can be requested"),
+        (1e300, 1e-300, "at most 2000000 can"),
+        (3600.0, 1e-320, "at most 2000000 can"),
         (1e12, 1e11, "longer than 94608000 s"),
         (1e300, 1e300, "longer than 94608000 s"),
     ],

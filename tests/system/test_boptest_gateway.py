@@ -325,7 +325,7 @@ def test_boptest_gateway__baseline_is_the_building_that_nobody_controls(test):
         ("PUT", "forecast", {"point_names": ["foo"], "horizon": 0, "interval": 1}, "Invalid point name(s) ['foo']"),
         ("PUT", "forecast", {"point_names": [], "horizon": -1, "interval": 1}, "Invalid value -1 for horizon"),
         ("PUT", "forecast", {"point_names": [], "horizon": 1, "interval": 0}, "Invalid value 0 for interval"),
-        ("PUT", "forecast", {"point_names": ["TDryBul"], "horizon": 1e12, "interval": 1e-3}, "at most 2000000 values"),
+        ("PUT", "forecast", {"point_names": ["TDryBul"], "horizon": 1e12, "interval": 1e-3}, "at most 2000000 can"),
         ("PUT", "snapshot", {"snapshot": "s99"}, "No snapshot 's99'"),
     ],
 )
