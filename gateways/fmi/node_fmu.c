@@ -105,7 +105,7 @@ typedef struct {
     Boolean is_logging;
     Phase phase;
     Values values;
-    double start_time;
+    double start_time, stop_time;
     char address[ADDRESS];
     int seed;
     Socket socket;
@@ -332,6 +332,7 @@ static void set_defaults(Instance *instance) {
     strcpy(instance->address, START_ADDRESS);
     instance->seed = -1;
     instance->start_time = 0.0;
+    instance->stop_time = INFINITY;
     instance->phase = INSTANTIATED;
 }
 
@@ -399,9 +400,8 @@ EXPORT Status fmi2SetupExperiment(
 ) {
     (void)has_tolerance;
     (void)tolerance;
-    (void)has_stop_time;
-    (void)stop_time;
     ((Instance *)component)->start_time = start_time;
+    ((Instance *)component)->stop_time = has_stop_time ? stop_time : INFINITY;
     return OK;
 }
 
@@ -461,6 +461,11 @@ EXPORT Status fmi2DoStep(void *component, double time, double size, Boolean keep
         return report(
             instance, ERROR_STATUS, "fmi2DoStep: a step to %.9g s; the episode ends at %.9g s", time + size,
             instance->start_time + STEPS * STEP_S
+        );
+    if (time + size > instance->stop_time + STEP_TOLERANCE * STEP_S + 1e-9 * fabs(instance->stop_time))
+        return report(
+            instance, ERROR_STATUS, "fmi2DoStep: a step to %.9g s; the stop time of the experiment is %.9g s", time + size,
+            instance->stop_time
         );
     put_uint32(content, (uint32_t)steps);
     for (i = 0; i < ACTUATORS; i++) {

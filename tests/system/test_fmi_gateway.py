@@ -76,11 +76,11 @@ class Importer:
         )
         self.fmu.instantiate(callbacks=callbacks)
 
-    def initialize(self, *, start_time: float = 0.0, **parameters: Any) -> np.ndarray:
+    def initialize(self, *, start_time: float = 0.0, stop_time: float | None = None, **parameters: Any) -> np.ndarray:
         for name, value in parameters.items():
             put = self.fmu.setString if isinstance(value, str) else self.fmu.setInteger
             put([self.references[name]], [value])
-        self.fmu.setupExperiment(startTime=start_time)
+        self.fmu.setupExperiment(startTime=start_time, stopTime=stop_time)
         self.fmu.enterInitializationMode()
         self.fmu.exitInitializationMode()
         return self.read()
@@ -201,6 +201,18 @@ def test_fmi_gateway__bad_requests_have_reasons(importer: Importer, deed: Callab
     importer.fmu.reset()
     importer.initialize(seed=3)  # an error is not the end of the instance
     importer.step(0)
+
+
+def test_fmi_gateway__step_beyond_the_stop_time_is_an_error_until_a_reset(importer: Importer) -> None:
+    importer.initialize(seed=3, stop_time=2 * STEP_S)
+    importer.step(0)
+    importer.step(1)
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        importer.step(2)
+    assert importer.log == ["fmi2DoStep: a step to 2700 s; the stop time of the experiment is 1800 s"]
+    importer.fmu.reset()
+    importer.initialize(seed=3)
+    importer.step(0, count=3)
 
 
 def test_fmi_gateway__a_forked_instance_is_refused_and_the_first_one_goes_on(importer: Importer) -> None:
