@@ -318,7 +318,7 @@ class Gateway:
 
     def _process(self, request: Request) -> None:
         if request.node not in self._nodes:
-            revoked = f", or they have revoked {self._identity}" if self._identity and not self._nodes else ""
+            revoked = f", or {self._identity} is revoked" if self._identity and not self._nodes else ""
             why = f"no node {request.node!r} on the bus; {did_you_mean(request.node, self._nodes)}{revoked}"
             self._answer(request, denied(NodeNotFound(why)))
         elif request.row in (keys.COMMAND_REQUEST, keys.CLAIM):
