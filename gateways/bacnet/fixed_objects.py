@@ -52,4 +52,6 @@ def fixed_objects(manifest: Manifest, instance: int) -> list[FixedObject]:
 
 def device_description(manifest: Manifest) -> str:
     """Return the description of the device object."""
-    return f"simulated building {manifest.building} with weather {manifest.weather or 'of its own'}"
+    if not manifest.weather:
+        return f"simulation of {manifest.building}"
+    return f"simulated building {manifest.building} with weather {manifest.weather}"

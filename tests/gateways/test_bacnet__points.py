@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from zenostat.gateways.bacnet import units
+from zenostat.gateways.bacnet.fixed_objects import device_description
 from zenostat.gateways.bacnet.point_objects import AnalogOutput, real
 from zenostat.gateways.bacnet.points import point_specs
 from zenostat.gateways.bacnet.services import NodeApplication
@@ -35,6 +36,13 @@ def manifest(**points: tuple) -> Manifest:
         policy=Policy.WAIT,
         versions=Versions(zenostat="0"),
     )
+
+
+def test_bacnet__description_of_a_device_has_the_weather_of_buildings_only() -> None:
+    plant = manifest()
+    assert device_description(plant) == "simulation of b"
+    building = plant.model_copy(update={"weather": "USA_CO_Denver"})
+    assert device_description(building) == "simulated building b with weather USA_CO_Denver"
 
 
 @given(st.sets(st.text("abc_", min_size=1, max_size=8), max_size=40))
