@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from zenostat.plants.grid.schema import connected_buses
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.keys import safe_name
@@ -218,12 +219,7 @@ def _connected(fields: dict[str, Any]) -> dict[str, Any]:
         for part in fields[kind].values()
         if not part.get("open_end")
     ]
-    buses, count = {fields["source"]["bus"]}, 0
-    while len(buses) != count:
-        count = len(buses)
-        for first, second in branches:
-            if first in buses or second in buses:
-                buses |= {first, second}
+    buses = connected_buses(fields["source"]["bus"], branches)
     is_used: Callable[[dict[str, Any]], bool] = lambda part: all(  # noqa: E731
         part[end] in buses for end in ("bus", "from", "to") if end in part
     )

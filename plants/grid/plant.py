@@ -11,7 +11,7 @@ from zenostat.plants.grid.devices import BatteryState, ChargerState
 from zenostat.plants.grid.file import read_grid
 from zenostat.plants.grid.network import DivergedPowerFlow, Network, PowerFlow, reactive_ratio
 from zenostat.plants.grid.profiles import Means
-from zenostat.plants.grid.schema import Load, OnDivergence, Price, bounds_of
+from zenostat.plants.grid.schema import Load, OnDivergence, Price
 from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import PlantFailed
 
@@ -108,7 +108,7 @@ class GridPlant:
         """Return the actuators; nobody need command a load, which then has its profile."""
         grid = self.grid
         actuators: dict[str, tuple[Any, ...]] = {}
-        actuators |= {f"{name}_demand": ("W", *bounds_of(load)) for name, load in grid.loads.items()}
+        actuators |= {f"{name}_demand": ("W", load.low_w, load.high_w) for name, load in grid.loads.items()}
         actuators |= {f"{name}_curtailment": ("fraction", 0.0, 1.0, 0.0) for name in grid.pv}
         for name, battery in grid.batteries.items():
             limit_w = battery.power_kw * 1e3

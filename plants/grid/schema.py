@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import datetime
 from enum import StrEnum
-from math import inf
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
@@ -348,30 +347,23 @@ class Grid(_Part):
                 yield f"transformers.{name}: {text} of short-circuit voltage allow at most {limit_w:g}"
 
     def _errors_of_islands(self) -> Iterator[str]:
-        if isolated := sorted(self.buses.keys() - reachable(self)):
+        closed = [line for line in self.lines.values() if line.open_end is None]
+        branches = [(branch.start, branch.end) for branch in (*closed, *self.transformers.values())]
+        if isolated := sorted(self.buses.keys() - connected_buses(self.source.bus, branches)):
             yield f"no line or transformer connects the bus {', '.join(isolated)} with the source"
 
 
-def reachable(grid: Grid) -> set[str]:
-    """Return the buses that lines and transformers connect with the source."""
-    neighbors: dict[str, set[str]] = {bus: set() for bus in grid.buses}
-    branches: Mapping[str, Any] = {**grid.lines, **grid.transformers}
-    for branch in branches.values():
-        if getattr(branch, "open_end", None) is not None:
-            continue
-        neighbors[branch.start].add(branch.end)
-        neighbors[branch.end].add(branch.start)
+def connected_buses(source: str, branches: Iterable[tuple[str, str]]) -> set[str]:
+    """Return the buses that branches, each given as its two buses, connect with the source."""
+    neighbors: dict[str, set[str]] = {}
+    for start, end in branches:
+        neighbors.setdefault(start, set()).add(end)
+        neighbors.setdefault(end, set()).add(start)
     connected: set[str] = set()
-    pending = [grid.source.bus]
+    pending = [source]
     while pending:
         bus = pending.pop()
         if bus not in connected:
             connected.add(bus)
-            pending += neighbors[bus]
+            pending += neighbors.get(bus, ())
     return connected
-
-
-def bounds_of(load: Load) -> tuple[float | None, float | None]:
-    """Return the bounds of a load's actuator; None where there is none."""
-    low, high = (-inf if load.low_w is None else load.low_w), (inf if load.high_w is None else load.high_w)
-    return (None if low == -inf else low), (None if high == inf else high)
