@@ -123,6 +123,7 @@ def test_bacnet__each_unit_is_in_the_enumeration_of_the_standard() -> None:
         assert isinstance(getattr(basetypes.EngineeringUnits, entry.name), int), unit
     # Numbers of ASHRAE 135, clause 21.
     expected = {"degC": 62, "percent": 98, "W": 47, "J": 16, "kg/s": 42, "m3/s": 85, "Pa": 53, "ppm": 96, "1": 95}
+    expected |= {"kW": 48, "MW": 49, "MWh": 146, "degF": 64, "kPa": 54, "bar": 55, "m3/h": 135, "var": 11, "kvar": 12}
     assert {unit: getattr(basetypes.EngineeringUnits, units.bacnet_unit(unit).name) for unit in expected} == expected
 
 
