@@ -14,10 +14,10 @@ from zenostat.metrics.labels import label
 from zenostat.metrics.roles import roles
 from zenostat.topics.messages import Actuator, Manifest
 
-_UNITS = {"degC": "°C", "percent": "%", "W": "W", "Wh": "Wh", "kWh": "kWh", "Pa": "Pa", "ppm": "ppm", "m/s": "m/s",
-          "W/m2": "W/m²", "lux": "lx", "kg/s": "kg/s", "m3/s": "m³/s"}  # fmt: skip
-_CLASSES = {"degC": "temperature", "W": "power", "Pa": "pressure", "ppm": "carbon_dioxide", "m/s": "wind_speed",
-            "W/m2": "irradiance", "lux": "illuminance"}  # fmt: skip
+_UNITS = {"degC": "°C", "percent": "%", "W": "W", "kW": "kW", "MW": "MW", "Wh": "Wh", "kWh": "kWh", "MWh": "MWh",
+          "Pa": "Pa", "ppm": "ppm", "m/s": "m/s", "W/m2": "W/m²", "lux": "lx", "kg/s": "kg/s", "m3/s": "m³/s"}  # fmt: skip
+_CLASSES = {"degC": "temperature", "W": "power", "kW": "power", "MW": "power", "Pa": "pressure",
+            "ppm": "carbon_dioxide", "m/s": "wind_speed", "W/m2": "irradiance", "lux": "illuminance"}  # fmt: skip
 
 
 _COMPONENTS = ("sensor", "number", "button", "climate")

@@ -40,6 +40,13 @@ def test_home_assistant__names_that_differ_in_a_dot_have_ids_of_their_own() -> N
     assert ids(["zone.T"])[f"{ROOT}/sensor/zone.T"] == "zenostat_office_zone_T"
 
 
+@pytest.mark.parametrize("unit", ["W", "kW", "MW"])
+def test_home_assistant__powers_have_their_unit_and_class(unit: str) -> None:
+    ((_, text),) = discovery(manifest(sensors=[Sensor(name="power", unit=unit)]), ROOT)
+    content = json.loads(text)
+    assert (content["unit_of_measurement"], content["device_class"]) == (unit, "power")
+
+
 def test_home_assistant__gateways_of_one_broker_have_ids_of_their_own() -> None:
     """A node's name does not tell apart two sites, which have topics of their own, and dots are no part of an id."""
     roots = [("office", ROOT), ("office", "site/office"), ("site.a", "zenostat/site.a"), ("site_a", "zenostat/site_a")]
