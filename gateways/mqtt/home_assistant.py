@@ -15,7 +15,8 @@ from zenostat.metrics.roles import roles
 from zenostat.topics.messages import Actuator, Manifest
 
 _UNITS = {"degC": "°C", "percent": "%", "W": "W", "kW": "kW", "MW": "MW", "Wh": "Wh", "kWh": "kWh", "MWh": "MWh",
-          "Pa": "Pa", "ppm": "ppm", "m/s": "m/s", "W/m2": "W/m²", "lux": "lx", "kg/s": "kg/s", "m3/s": "m³/s"}  # fmt: skip
+          "Pa": "Pa", "ppm": "ppm", "m/s": "m/s", "W/m2": "W/m²", "lux": "lx", "kg/s": "kg/s",
+          "m3/s": "m³/s"}  # fmt: skip
 _CLASSES = {"degC": "temperature", "W": "power", "kW": "power", "MW": "power", "Pa": "pressure",
             "ppm": "carbon_dioxide", "m/s": "wind_speed", "W/m2": "irradiance", "lux": "illuminance"}  # fmt: skip
 
