@@ -347,8 +347,8 @@ class Grid(_Part):
                 yield f"transformers.{name}: {text} of short-circuit voltage allow at most {limit_w:g}"
 
     def _errors_of_islands(self) -> Iterator[str]:
-        closed = [line for line in self.lines.values() if line.open_end is None]
-        branches = [(branch.start, branch.end) for branch in (*closed, *self.transformers.values())]
+        branches = [(line.start, line.end) for line in self.lines.values() if line.open_end is None]
+        branches += [(transformer.start, transformer.end) for transformer in self.transformers.values()]
         if isolated := sorted(self.buses.keys() - connected_buses(self.source.bus, branches)):
             yield f"no line or transformer connects the bus {', '.join(isolated)} with the source"
 
