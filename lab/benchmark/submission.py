@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from zenostat.agent_sdk.controllers.loader import CONTROLLERS
 from zenostat.lab.benchmark.definition import BASELINE, BASELINES, REWARD, SETS, VERSION, Episode, is_prepared
 from zenostat.lab.benchmark.rerun import check_rows
 from zenostat.lab.benchmark.results import Results, changed_versions, episode_of, load_results
@@ -122,11 +123,17 @@ def _incomplete(results: Results) -> list[str]:
     errors += [f"{episode}: no episode of the set {results.set!r}" for episode in others[:_SHOWN]]
     needed = {name_of(episode) for episode in expected.values() if is_prepared(episode.controller)}
     errors += [f"{name}: its training or tuning is missing" for name in sorted(needed - results.trainings.keys())]
-    return errors + [f"{name}: its hash is missing" for name in names if not _is_identified(name, results)]
+    return errors + [
+        f"{name}: its hash is missing (that of a class is that of its file, named as path/to/file.py:MyController)"
+        for name in names
+        if not _is_identified(name, results)
+    ]
 
 
 def _is_identified(name: str, results: Results) -> bool:
-    return is_prepared(name) or name in results.controllers
+    """Return whether a hash identifies a controller; a bundled one, whose hash is empty, has the product's version."""
+    digest = results.controllers.get(name)
+    return is_prepared(name) or bool(digest) or (digest is not None and name in CONTROLLERS)
 
 
 def _implausible(results: Results) -> list[str]:

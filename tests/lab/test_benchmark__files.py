@@ -488,6 +488,19 @@ def test_benchmark_files__controllers_of_the_benchmark_with_other_parameters_are
     assert errors == ["rbc: its hash is not that of the controller of the benchmark"]
 
 
+@pytest.mark.parametrize(
+    ("name", "is_identified"), [("mine.py:Mine", False), ("mine.npz", False), ("mine:Mine", False), ("setback", True)]
+)
+def test_benchmark_files__empty_hash_identifies_bundled_controllers_alone(
+    name: str, is_identified: bool, rows: list[Row], reference: Path, tmp_path: Path
+) -> None:
+    own = [dataclasses.replace(one, controller=name) if one.controller == "rbc" else one for one in rows]
+    hashes = {**check_controllers(["baseline"]), name: ""}
+    path = written(tmp_path / "submitted.json", own, trainings=TRAININGS, controllers=hashes)
+    errors, _ = check_submission(path, reference, {OFFICE: "ab"})
+    assert [error.split(" (")[0] for error in errors] == [f"{name}: its hash is missing"] * (not is_identified)
+
+
 def test_benchmark_files__other_versions_are_noted_instead_of_compared(
     rows: list[Row], complete: Path, tmp_path: Path
 ) -> None:
