@@ -15,7 +15,7 @@ from zenostat.lab.benchmark.rerun import check_rows
 from zenostat.lab.benchmark.results import Results, changed_versions, episode_of, load_results
 from zenostat.lab.benchmark.results_file import ROUNDING, TERMS, Row, is_rounding
 from zenostat.lab.benchmark.run import check_controllers, name_of, stale_trainings
-from zenostat.lab.benchmark.scores import relative_reward
+from zenostat.lab.benchmark.scores import relative_linear, relative_reward
 from zenostat.lab.workers import Progress
 from zenostat.topics.errors import InvalidConfig
 
@@ -148,9 +148,10 @@ def _implausible(results: Results) -> list[str]:
         if not faults and baseline is not None and not _faults(baseline, hours):
             faults = _other_floor_area(row, baseline)
         errors += [f"{episode}: {fault}" for fault in faults]
-        score = None if baseline is None else relative_reward(row, baseline)
-        if score is not None and not _LOWEST <= score <= _HIGHEST:
-            errors.append(f"{episode}: a score of {score:g} is out of range ({_LOWEST:g} to {_HIGHEST:g})")
+        for name, relative in (("score", relative_reward), ("linear score", relative_linear)):
+            score = None if baseline is None else relative(row, baseline)
+            if score is not None and not _LOWEST <= score <= _HIGHEST:
+                errors.append(f"{episode}: a {name} of {score:g} is out of range ({_LOWEST:g} to {_HIGHEST:g})")
     return errors
 
 
@@ -166,6 +167,7 @@ def _faults(row: Row, hours: float) -> list[str]:
     checks = {
         f"the terms add up to {total!r}, the reward is {row.reward!r}": is_rounding(row.reward, total),
         "a term is above 0": max(terms.values()) <= 0.0,
+        f"the linear reward {row.linear!r} is above 0": row.linear <= 0.0,
         "it ended early": not metrics["terminated"],
         f"a peak of {metrics['peak_kw']!r} kW costs other than {terms['peak']!r} EUR": is_rounding(
             -terms["peak"], _DEMAND_PRICE * metrics["peak_kw"]
@@ -180,6 +182,7 @@ def _faults(row: Row, hours: float) -> list[str]:
         f"a peak of {metrics['peak_kw']!r} kW is below the mean of {whole!r} kWh in {hours:g} h": (
             whole <= metrics["peak_kw"] * hours + ROUNDING
         ),
+        f"{outside!r} K h outside the comfort band are below 0": outside >= 0.0,
         f"{outside!r} K h outside the comfort band cost nothing": terms["comfort"] != 0.0 or outside <= ROUNDING,
     }
     return [text for text, holds in checks.items() if not holds]

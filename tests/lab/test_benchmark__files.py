@@ -406,6 +406,8 @@ def test_benchmark_files__complete_rows_are_accepted(complete: Path, reference: 
             {"terms": {"cost": -4.0, "gas": 0.0, "peak": -3.0, "comfort": 0.0}, "reward": -7.0},
             "1.5 K h outside the comfort band cost nothing",
         ),
+        ({"occupied_outside_kh": -3.0}, "-3.0 K h outside the comfort band are below 0"),
+        ({"linear": -506.0}, "a linear score of -100.2 is out of range (-100 to 1)"),
         ({"kpi.ener_tot": 0.21}, "20.0 kWh of HVAC energy are not 0.21 kWh/m² in this building"),
     ],
 )
@@ -413,12 +415,18 @@ def test_benchmark_files__impossible_rows_are_refused(
     changes: dict[str, Any], text: str, rows: list[Row], reference: Path, tmp_path: Path
 ) -> None:
     learned = next(number for number, one in enumerate(rows) if one.controller == "ppo")
-    fields = {name: value for name, value in changes.items() if name in ("reward", "terms")}
+    fields = {name: value for name, value in changes.items() if name in ("reward", "terms", "linear")}
     metrics = {**rows[learned].metrics, **{name: of for name, of in changes.items() if name not in fields}}
     rows[learned] = dataclasses.replace(rows[learned], metrics=metrics, **fields)
     errors, _ = check_submission(written(tmp_path / "s.json", rows, trainings=TRAININGS), reference, {OFFICE: "ab"})
     assert len(errors) == 1
     assert text in errors[0]
+
+
+def test_benchmark_files__linear_rewards_above_0_are_refused(rows: list[Row], reference: Path, tmp_path: Path) -> None:
+    higher = [dataclasses.replace(one, linear=0.1) for one in rows]
+    errors, _ = check_submission(written(tmp_path / "s.json", higher, trainings=TRAININGS), reference, {OFFICE: "ab"})
+    assert sum("the linear reward 0.1 is above 0" in error for error in errors) == len(rows)
 
 
 def test_benchmark_files__rounding_of_another_processor_is_a_note(
