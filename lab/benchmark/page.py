@@ -11,6 +11,7 @@ from zenostat.lab.benchmark.definition import VERSION
 from zenostat.lab.benchmark.figures import write_figures
 from zenostat.lab.benchmark.gap import tables_with_gap
 from zenostat.lab.benchmark.results import Results
+from zenostat.lab.benchmark.tables import escaped
 from zenostat.topics.atomic_file import atomic_file
 
 
@@ -25,8 +26,8 @@ def write_page(results: Results, path: Path, bounds: Mapping[Key, Bound] | None 
     folder = path.with_suffix("")
     figures = write_figures(results, folder)
     versions = ", ".join(f"{name} {version}" for name, version in results.versions.items())
-    parts = [f"# Zenostat benchmark {VERSION}, set {results.set}", f"Made with {versions}."]
-    parts += [f"## {table.title}\n\n{table.markdown()}" for table in tables_with_gap(results, bounds)]
+    parts = [f"# Zenostat benchmark {VERSION}, set {results.set}", f"Made with {escaped(versions)}."]
+    parts += [f"## {escaped(table.title)}\n\n{table.markdown()}" for table in tables_with_gap(results, bounds)]
     parts += [f"![{figure.stem}]({quote(folder.name)}/{figure.stem}.svg)" for figure in figures]
     with atomic_file(path) as temporary:
         temporary.write_text("\n\n".join(parts) + "\n", encoding="utf-8")

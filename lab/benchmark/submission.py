@@ -69,6 +69,11 @@ def check_submission(
         for name, digest in known.items()
         if results.controllers.get(name, digest) != digest
     ]
+    errors += [
+        f"{name!r}: a name has printable characters without |, < and >, and no blank at its beginning or end"
+        for name in results.names()
+        if not name.isprintable() or name != name.strip() or set(name) & set("|<>")
+    ]
     errors += _incomplete(results) + _implausible(results)
     different, notes = _compare_baseline(results, path, reference)
     errors += different

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from statistics import fmean
@@ -22,9 +23,15 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
 
     def markdown(self) -> str:
-        """Return the table as Markdown."""
-        lines = [self.columns, ("---", *("---:" for _ in self.columns[1:])), *self.rows]
+        """Return the table as Markdown, with the names of controllers as plain text."""
+        rows = [(escaped(row[0]), *row[1:]) for row in self.rows]
+        lines = [self.columns, ("---", *("---:" for _ in self.columns[1:])), *rows]
         return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+
+
+def escaped(text: str) -> str:
+    """Return a text for a line of Markdown, in which it is no markup and no end of a cell."""
+    return re.sub(r"([\\`*\[\]<>&|])", r"\\\1", " ".join(text.split()))
 
 
 def tables(results: Results) -> list[Table]:

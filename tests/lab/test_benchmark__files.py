@@ -29,6 +29,7 @@ from zenostat.lab.benchmark.results import NEEDED_VERSIONS, changed_versions
 from zenostat.lab.benchmark.results_file import rows_digest, schema
 from zenostat.lab.benchmark.run import check_controllers, stale_trainings
 from zenostat.lab.benchmark.submission import check_submission
+from zenostat.lab.benchmark.tables import Table
 from zenostat.topics import VERSION as PRODUCT_VERSION
 from zenostat.topics import yaml12
 from zenostat.topics.errors import InvalidConfig, UnknownName
@@ -507,6 +508,24 @@ def test_benchmark_files__empty_hash_identifies_bundled_controllers_alone(
     path = written(tmp_path / "submitted.json", own, trainings=TRAININGS, controllers=hashes)
     errors, _ = check_submission(path, reference, {OFFICE: "ab"})
     assert [error.split(" (")[0] for error in errors] == [f"{name}: its hash is missing"] * (not is_identified)
+
+
+@pytest.mark.parametrize("name", [" baseline", "base\u200bline", "<img src=x>:A", "a|b.py:A", "a\nb.py:A"])
+def test_benchmark_files__names_that_look_otherwise_in_a_table_are_refused(
+    name: str, rows: list[Row], reference: Path, tmp_path: Path
+) -> None:
+    own = [dataclasses.replace(one, controller=name) if one.controller == "rbc" else one for one in rows]
+    hashes = {**check_controllers(["baseline"]), name: "ab"}
+    path = written(tmp_path / "submitted.json", own, trainings=TRAININGS, controllers=hashes)
+    errors, _ = check_submission(path, reference, {OFFICE: "ab"})
+    assert len(errors) == 1
+    assert errors[0].startswith(f"{name!r}: a name has printable characters")
+
+
+def test_benchmark_files__names_are_no_markup_in_a_table() -> None:
+    name = "<img src=x>|[x](javascript:1)\nmy_file.py:A"
+    line = Table("t", ("controller", "rows"), ((name, "1 [0, 2]"),)).markdown().splitlines()[2:]
+    assert line == [r"| \<img src=x\>\|\[x\](javascript:1) my_file.py:A | 1 [0, 2] |"]
 
 
 def test_benchmark_files__other_versions_are_noted_instead_of_compared(
