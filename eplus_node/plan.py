@@ -356,10 +356,12 @@ def run_points(
         UnknownName, InvalidConfig: the points of the scenario have errors.
         ModelError: EnergyPlus cannot start the model.
     """
-    offered = discovery.discover(model, any_weather)
+    offered, paired = discovery.discover(model, any_weather), scenario.control == "building"
     actuators = None
     if scenario.actuators is not None:
-        actuators = {name: _actuator(model, offered, name, spec) for name, spec in scenario.actuators.items()}
+        actuators = {
+            name: _actuator(model, offered, name, spec, paired=paired) for name, spec in scenario.actuators.items()
+        }
     sensors = selection.default_sensors(offered) if scenario.sensors is None else {}
     specs: dict[str, list[str]] = {name: list(spec) for name, spec in sensors.items()}
     for name, sensor in (scenario.sensors or {}).items():
@@ -370,7 +372,7 @@ def run_points(
             if len(spec) == 2:
                 reported = Aggregation.SUM if summed.get(spec[0].casefold()) else Aggregation.MEAN
                 spec.append(Aggregation.INSTANT if scenario.aggregation is Aggregation.INSTANT else reported)
-    chosen = selection.select_points(model, offered, specs, scenario.meters, actuators)
+    chosen = selection.select_points(model, offered, specs, scenario.meters, actuators, paired=paired)
     if actuators is None:  # those that have no effect are left out
         overridden = conflicts.overridden_actuators(model.objects, chosen.actuators)
         chosen = replace(chosen, actuators=tuple(a for a in chosen.actuators if a.name not in overridden))
@@ -392,13 +394,13 @@ def _with_schedules(model: Building, scenario: Scenario, any_weather: Path, peri
     return with_baseline_sensors(points, relative, fixed, model, period, any_weather) if relative else points
 
 
-def _actuator(model: Building, offered: PointCatalog, name: str, spec: ActuatorSpec) -> list[object]:
+def _actuator(model: Building, offered: PointCatalog, name: str, spec: ActuatorSpec, *, paired: bool) -> list[object]:
     """Return the names and bounds of an actuator; bounds that the scenario leaves out are those of the model."""
     names = [spec.component_type, spec.control_type, spec.key]
     if spec.low is None and spec.high is None:
         return [*names]
     try:
-        low, high = selection.actuator_bounds(model, selection.find_actuator(offered, name, *names))
+        low, high = selection.actuator_bounds(model, selection.find_actuator(offered, name, *names), paired=paired)
     except UnknownName:
         return [*names]  # `select_points` reports it together with all other unknown names
     return [*names, low if spec.low is None else spec.low, high if spec.high is None else spec.high]

@@ -96,7 +96,13 @@ class Points:
 
 
 def select_points(
-    building: Building, available: PointCatalog, sensors: Spec | None, meters: MeterSpec | None, actuators: Spec | None
+    building: Building,
+    available: PointCatalog,
+    sensors: Spec | None,
+    meters: MeterSpec | None,
+    actuators: Spec | None,
+    *,
+    paired: bool = False,
 ) -> Points:
     """Return the requested points; None selects the default points of that kind.
 
@@ -106,6 +112,7 @@ def select_points(
         sensors: name to (variable, key) or (variable, key, aggregation).
         meters: name to meter.
         actuators: name to (component type, control type, key) or (component type, control type, key, low, high).
+        paired: whether all zones have one pair of setpoints.
 
     Raises:
         UnknownName: the model lacks some of the points; the text lists all of them, with similar names.
@@ -122,7 +129,9 @@ def select_points(
         errors.errors.append(InvalidConfig(f"names used for both a sensor and a meter: {duplicate_names}"))
     selected_sensors = _each(wanted_sensors, lambda n, s: _sensor(available, n, s), errors)
     selected_meters = _each(wanted_meters, lambda n, s: _meter(available, n, s), errors)
-    selected_actuators = _each(wanted_actuators, lambda n, s: _actuator(building, available, n, s), errors)
+    selected_actuators = _each(
+        wanted_actuators, lambda n, s: _actuator(building, available, n, s, paired=paired), errors
+    )
     errors.errors += _repeated_actuators(selected_actuators)
     errors.raise_if_any()
     return Points(
@@ -239,14 +248,16 @@ def meter_low(meter: MeterPoint) -> float | None:
     return 0.0 if meter.name.split(":")[0] in FUELS or meter.name in HVAC_METERS else None
 
 
-def _actuator(building: Building, available: PointCatalog, name: str, spec: Sequence[object]) -> Actuator:
+def _actuator(
+    building: Building, available: PointCatalog, name: str, spec: Sequence[object], *, paired: bool
+) -> Actuator:
     if isinstance(spec, str) or len(spec) not in (3, 5):
         raise InvalidConfig(
             f"actuator {name!r}: expected (component type, control type, key) or "
             f"(component type, control type, key, low, high), got {spec!r}"
         )
     point = find_actuator(available, name, *(str(part) for part in spec[:3]))
-    low, high = actuator_bounds(building, point)
+    low, high = actuator_bounds(building, point, paired=paired)
     if len(spec) == 5:
         low, high = _bound(name, spec[3]), _bound(name, spec[4])
     if low is not None and high is not None and not low < high:
@@ -304,10 +315,15 @@ def find_actuator(available: PointCatalog, name: str, component: str, control: s
     )
 
 
-def actuator_bounds(building: Building, actuator: ActuatorPoint) -> tuple[float | None, float | None]:
-    """Return an actuator's bounds: a thermostat's, its schedule's type limits, or those of its unit."""
+def actuator_bounds(
+    building: Building, actuator: ActuatorPoint, *, paired: bool = False
+) -> tuple[float | None, float | None]:
+    """Return an actuator's bounds: a thermostat's, its schedule's type limits, or those of its unit.
+
+    With `paired`, thermostats' are those of one pair of setpoints for all zones.
+    """
     if actuator.component_type == THERMOSTAT:
-        setpoints = setpoint_bounds(building, actuator.control_type, actuator.key)
+        setpoints = setpoint_bounds(building, actuator.control_type, None if paired else actuator.key)
         if setpoints is not None:
             return setpoints
     if actuator.control_type == SCHEDULE_VALUE:

@@ -21,23 +21,25 @@ _LEAST_RANGE_K = 1.0
 """Distance of the bounds, at the least."""
 
 
-def setpoint_bounds(building: Building, control_type: str, zone: str) -> tuple[float, float] | None:
+def setpoint_bounds(building: Building, control_type: str, zone: str | None) -> tuple[float, float] | None:
     """Return the bounds of a zone's heating or cooling setpoint, degC; None of another control type.
 
     The usual range is widened to the lowest heating and the highest cooling setpoint of all zones: one setpoint for
     the whole building can then do what each zone's schedule does. Where the other setpoint is left to the zone's own
     schedule, a value within the bounds never crosses it: heating ends at the zone's lowest cooling setpoint, or at
     22.5 degC if that is lower, and cooling begins at the zone's highest heating setpoint, or at 22.5 degC if that is
-    higher.
+    higher. Without a zone they are the bounds of a pair of setpoints for all zones, which meet at 22.5 degC.
     """
     if control_type not in _DEFAULT:
         return None
     low, high = _DEFAULT[control_type]
     scheduled = [v for v in _scheduled(building, control_type) if _LOWEST_DEGC < v < _HIGHEST_DEGC]
     if control_type == HEATING_SETPOINT:
-        high = min([high, *_scheduled(building, COOLING_SETPOINT, zone)])
+        if zone is not None:
+            high = min([high, *_scheduled(building, COOLING_SETPOINT, zone)])
         return min([low, *scheduled, high - _LEAST_RANGE_K]), high
-    low = max([low, *_scheduled(building, HEATING_SETPOINT, zone)])
+    if zone is not None:
+        low = max([low, *_scheduled(building, HEATING_SETPOINT, zone)])
     return low, max([high, *scheduled, low + _LEAST_RANGE_K])
 
 

@@ -114,7 +114,7 @@ def test_thermostat_bounds__heating_goes_down_to_the_lowest_scheduled_setpoint(
 def test_thermostat_bounds__value_within_them_does_not_cross_the_zones_own_other_setpoint() -> None:
     rooms = constant_setpoints(lab=(20.0, 22.2), theater=(16.0, 16.5), sauna=(28.0, 35.0), cold_room=(4.0, 6.0))
 
-    def bounds(zone: str) -> tuple[Any, Any]:
+    def bounds(zone: str | None) -> tuple[Any, Any]:
         return tuple(setpoint_bounds(rooms, kind, zone) for kind in (HEATING_SETPOINT, COOLING_SETPOINT))
 
     assert bounds("LAB") == ((15.0, 22.2), (22.5, 35.0))
@@ -122,6 +122,7 @@ def test_thermostat_bounds__value_within_them_does_not_cross_the_zones_own_other
     assert bounds("SAUNA") == ((15.0, 22.5), (28.0, 35.0))
     assert bounds("COLD_ROOM") == ((5.0, 6.0), (22.5, 35.0))
     assert bounds("HALL") == ((15.0, 22.5), (22.5, 35.0))  # no thermostat that is known
+    assert bounds(None) == ((15.0, 22.5), (22.5, 35.0))  # of one pair for all zones
 
 
 def test_thermostat_bounds__values_of_a_file_are_those_of_its_column(tmp_path: Path) -> None:
