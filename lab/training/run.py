@@ -180,6 +180,8 @@ class _Run:
         config, folder, stack = self._config, self._folder, self._stack
         saved = checkpoints(folder / training_folder.CHECKPOINTS) if resume else []
         checkpoint = read_checkpoint(saved[-1]) if saved else None
+        if checkpoint is not None and config.steps < min(checkpoint.step, files.read_folder(folder).steps):
+            raise InvalidConfig(f"{folder} has {checkpoint.step} steps already; steps={config.steps} would be fewer")
         if config.threads is not None:
             stack.callback(torch.set_num_threads, torch.get_num_threads())
             torch.set_num_threads(config.threads)

@@ -215,6 +215,9 @@ def test_training__folder_is_neither_overwritten_nor_resumed_with_another_traini
         train(read_training(other), resume=True)
     longer = train(resume_training(tmp_path, 10), resume=True)
     assert (longer.step, longer.finished) == (10, True)
+    with pytest.raises(InvalidConfig, match="has 10 steps already; steps=5 would be fewer"):
+        train(resume_training(tmp_path, 5), resume=True)
+    assert resume_training(tmp_path).steps == 10
 
 
 @pytest.mark.parametrize(
