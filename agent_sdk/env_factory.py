@@ -89,7 +89,7 @@ def save_env(env: gym.Env[Any, Any], path: str | Path) -> None:
     building = env.unwrapped
     if not isinstance(building, BuildingEnv) or not isinstance(building.link, ControllerLink):
         raise InvalidConfig(
-            f"{type(building).__name__} has no scenario that can be saved; save a zenostat/ environment"
+            f"{type(building).__name__} has no scenario that can be saved; save an environment of a building"
         )
     text = building.link.scenario()
     fields = yaml12.parse(text, "the node's scenario") if text else {}
