@@ -300,7 +300,7 @@ def _check_period(
     if not rows:
         raise InvalidConfig(
             f"{name}: {days[0]} to {days[1]} has no measured data; {path.name} covers {data.begins[0]} to "
-            f"{data.ends[-1]} (lines {data.lines[0]} to {data.lines[-1]})"
+            f"{data.ends[-1]} (lines {data.lines[0]} to {data.lines[-1]}){_cut_off(data, begin, end)}"
         )
     if config.missing == "leave_out":
         return
@@ -313,7 +313,7 @@ def _check_period(
             raise InvalidConfig(
                 f"{path}, before line {line}: no data for {last} to {first}, within {name}; add the rows, choose other "
                 f"days{'' if is_hourly else ' (rows that reach beyond them do not count)'}, or set missing: "
-                f"leave_out{saving}"
+                f"leave_out{saving or _cut_off(data, begin, end)}"
             )
     for column in data.columns:
         empty = [row for row in rows if math.isnan(column.values[row])]
@@ -323,3 +323,16 @@ def _check_period(
                 f"{f' (and {len(empty) - 1} more)' if empty[1:] else ''}; fill it in, choose other days, or set "
                 "missing: leave_out"
             )
+
+
+def _cut_off(data: MeasuredData, begin: datetime, end: datetime) -> str:
+    """Return a hint at the first row that lies mostly, but not wholly, within a period; else an empty text.
+
+    Days and bills of a clock with daylight saving time begin an hour before those of standard time.
+    """
+    for line, first, last in zip(data.lines, data.begins, data.ends, strict=True):
+        inside = min(last, end) - max(first, begin)
+        if last - first > inside > (last - first) / 2:
+            remedy = f"begin on {first:%Y-%m-%d}" if first < begin else f"end on {last - HOUR:%Y-%m-%d}"
+            return f". The row of line {line} lasts from {first} to {last} in standard time: {remedy} to include it"
+    return ""

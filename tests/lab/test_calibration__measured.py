@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import datetime
+from datetime import date, datetime
 from pathlib import Path
 from typing import Any
 
@@ -140,6 +140,21 @@ def test_read_measured__missing_day_between_daily_stamps_is_an_error(file: Path)
     lines = ["date,meter [kWh]", *rows([f"2017-03-{day:02}" for day in (11, 12, 13, 15, 16)], "7")]
     with pytest.raises(InvalidConfig, match=r"line 4: its row lasts .* 2 days, and most rows 1 days"):
         read(file, lines, METER, interval="between", periods=[["2017-03-11", "2017-03-15"]])
+
+
+def test_read_measured__days_and_bills_of_summer_time_begin_on_the_day_before(file: Path) -> None:
+    """Midnight of a clock with daylight saving time is 23:00 of the day before in standard time."""
+    settings: dict[str, Any] = {"interval": "between", "time_zone": "America/Denver"}
+    days = ["date,meter [kWh]", *rows([f"2017-07-{day:02}" for day in (9, 10, 11, 12)], "7")]
+    with pytest.raises(InvalidConfig, match=r"line 3 lasts from 2017-07-09 23:00:00 .*: begin on 2017-07-09 to inc"):
+        read(file, days, METER, periods=[["2017-07-10", "2017-07-10"]], **settings)
+    day = date(2017, 7, 9), date(2017, 7, 10)
+    assert read(file, days, METER, periods=[[str(each) for each in day]], **settings).rows_of(day) == [1]
+    bills = ["date,meter [kWh]", *rows([f"2017-{month:02}-01" for month in (5, 6, 7, 8, 9)], "7")]
+    with pytest.raises(InvalidConfig, match=r"no data for 2017-06-01 .*line 3 .*: begin on 2017-05-31 to include it"):
+        read(file, bills, METER, periods=[["2017-06-01", "2017-07-31"]], **settings)
+    months = date(2017, 5, 31), date(2017, 7, 31)
+    assert read(file, bills, METER, periods=[[str(each) for each in months]], **settings).rows_of(months) == [1, 2]
 
 
 # Time
