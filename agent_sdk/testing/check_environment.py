@@ -169,8 +169,12 @@ def _named(context: _CheckContext) -> Iterator[str]:
         if isinstance(env, gym.Wrapper) and type(env).__module__.startswith("gymnasium."):
             names, values = _names_by_layers(env, observation)
         else:
-            names = tuple(env.get_wrapper_attr("observation_names"))
-            values = env.get_wrapper_attr("observation_dict")(observation)
+            layer = next((layer for layer in layers(env) if hasattr(layer, "observation_names")), env.unwrapped)
+            names = tuple(layer.observation_names)
+            if isinstance(layer, gym.Wrapper) and not hasattr(layer, "observation_dict"):  # it needs names alone
+                values = dict(zip(names, observation, strict=False))
+            else:
+                values = layer.observation_dict(observation)
     except AttributeError as error:
         yield f"it has no observation_names or no observation_dict: {error}"
         return

@@ -38,7 +38,7 @@ from zenostat.agent_sdk.testing import (
 )
 from zenostat.agent_sdk.testing.check_controller import CONTROLLER_CHECKS
 from zenostat.agent_sdk.testing.fake_vector_env import FakeVectorEnv
-from zenostat.agent_sdk.wrappers import RewardVector, apply_wrappers
+from zenostat.agent_sdk.wrappers import RewardVector, apply_wrappers, names_of
 from zenostat.topics.errors import (
     EpisodeChanged,
     InvalidAction,
@@ -514,6 +514,25 @@ def test_check_environment__leaves_running_statistics_as_they_are() -> None:
     check_environment(env)
     np.testing.assert_array_equal(env.obs_rms.mean, mean)
     assert env.update_running_mean
+
+
+def test_check_environment__observation_wrapper_of_ones_own_needs_names_alone() -> None:
+    class Doubled(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
+        """Appends twice the first value."""
+
+        def __init__(self, env: gym.Env[Any, Any]) -> None:
+            gym.utils.RecordConstructorArgs.__init__(self)
+            super().__init__(env)
+            low, high = env.observation_space.low, env.observation_space.high  # type: ignore[attr-defined]
+            low, high = (np.append(bound, np.float32(2.0) * bound[0]) for bound in (low, high))
+            self.observation_space = gym.spaces.Box(low, high, dtype=np.float32)
+            self.observation_names = (*names_of(env), "doubled")
+
+        def observation(self, observation: Any) -> Any:
+            return np.append(observation, np.float32(2.0) * observation[0])
+
+    assert len(check_environment(Doubled(FakeEnv(1))).passed) == 11
+    assert len(check_environment(gym.wrappers.NormalizeObservation(Doubled(FakeEnv(1)))).passed) == 11
 
 
 def test_check_environment__vector_of_terms_lies_in_its_space() -> None:
