@@ -169,7 +169,7 @@ def _named(context: _CheckContext) -> Iterator[str]:
         if isinstance(env, gym.Wrapper) and type(env).__module__.startswith("gymnasium."):
             names, values = _names_by_layers(env, observation)
         else:
-            layer = next((layer for layer in layers(env) if hasattr(layer, "observation_names")), env.unwrapped)
+            layer: Any = next((layer for layer in layers(env) if hasattr(layer, "observation_names")), env.unwrapped)
             names = tuple(layer.observation_names)
             if isinstance(layer, gym.Wrapper) and not hasattr(layer, "observation_dict"):  # it needs names alone
                 values = dict(zip(names, observation, strict=False))
