@@ -139,7 +139,7 @@ class Access:
         if self.role(operator) is None:
             raise UnknownName(
                 f"{operator!r} is no operator or monitor in the list of names of the bus; create a certificate with: "
-                f"zenostat keys add {operator} --role operator"
+                f"zenostat keys add {operator} --role monitor (reads) or --role operator (changes)"
             )
         token = secrets.token_urlsafe(32)
         while len(self._tokens) >= _MAX_TOKENS:
