@@ -523,8 +523,8 @@ def test_check_environment__observation_wrapper_of_ones_own_needs_names_alone() 
         def __init__(self, env: gym.Env[Any, Any]) -> None:
             gym.utils.RecordConstructorArgs.__init__(self)
             super().__init__(env)
-            low, high = env.observation_space.low, env.observation_space.high  # type: ignore[attr-defined]
-            low, high = (np.append(bound, np.float32(2.0) * bound[0]) for bound in (low, high))
+            space: Any = env.observation_space
+            low, high = (np.append(bound, np.float32(2.0) * bound[0]) for bound in (space.low, space.high))
             self.observation_space = gym.spaces.Box(low, high, dtype=np.float32)
             self.observation_names = (*names_of(env), "doubled")
 
