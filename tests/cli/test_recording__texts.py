@@ -26,6 +26,7 @@ class _Exchange:
 class _Server:
     exchange = _Exchange()
     manifest = type("Manifest", (), {"steps": 96})
+    plant_warnings: dict[str, None] = {}  # noqa: RUF012
 
 
 def test_recording__node_reports_once_that_its_recording_stopped(capsys: pytest.CaptureFixture[str]) -> None:
