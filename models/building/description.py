@@ -33,7 +33,8 @@ class ZoneDescription:
         storey: index of its storey, from 0 at the bottom.
         area_m2: floor area, without the multiplier.
         multiplier: number of identical zones that it stands for.
-        setpoints: schedules of its thermostat, by `heating setpoint` and `cooling setpoint`.
+        setpoints: schedules of its thermostat, by `heating setpoint` and `cooling setpoint`; `A or B` if the
+            schedule depends on the control type.
         air_loops: air loops that supply it.
         equipment: its equipment, terminal units included.
     """
@@ -158,10 +159,9 @@ def _place(objects: ModelObjects) -> Header:
 def _zones(objects: ModelObjects, geometry: BuildingGeometry) -> Iterator[ZoneDescription]:
     places = {zone.name: zone for zone in geometry.geometry.zones} if geometry.geometry is not None else {}
     areas, multipliers = zone_areas(objects), zone_multipliers(objects)
-    schedules = {name.casefold(): name for kind in _schedule_types(objects) for name in objects[kind]}
     setpoints: dict[str, dict[str, str]] = defaultdict(dict)
-    for zone, control, schedule in thermostat_setpoints(objects):
-        setpoints[zone][control] = schedules.get(schedule, schedule)
+    for (zone, control), schedule in _setpoints(objects).items():
+        setpoints[zone][control] = schedule
     equipment = {zone.casefold(): parts for zone, parts in systems.zone_equipment(objects).items()}
     loops: dict[str, list[str]] = defaultdict(list)
     for loop in systems.air_loops(objects):
@@ -206,13 +206,24 @@ def _schedules(objects: ModelObjects) -> Iterator[ScheduleDescription]:
             yield ScheduleDescription(name, kind, dict(uses[name.casefold()].most_common()))
 
 
+def _setpoints(objects: ModelObjects) -> dict[tuple[str, str], str]:
+    """Return the schedule of each thermostat's setpoint by zone (case-folded) and control, or its schedules: `A or B`.
+
+    A thermostat with several control types can have a setpoint, and a schedule of it, in each of them.
+    """
+    spelled = {name.casefold(): name for kind in _schedule_types(objects) for name in objects[kind]}
+    schedules: dict[tuple[str, str], dict[str, None]] = defaultdict(dict)
+    for zone, control, schedule in thermostat_setpoints(objects):
+        schedules[zone, control][spelled.get(schedule, schedule)] = None
+    return {setpoint: " or ".join(names) for setpoint, names in schedules.items()}
+
+
 def _actuators(objects: ModelObjects, schedules: tuple[ScheduleDescription, ...]) -> Iterator[Actuatable]:
     """Yield the setpoints of thermostats, then the schedules that something uses."""
     overrides = ProgramOverrides(objects)
     zones = {name.casefold(): name for name in objects.get("Zone", {})}
-    spelled = {each.name.casefold(): each.name for each in schedules}
-    for zone, control, name in thermostat_setpoints(objects):
-        key, control_type, schedule = zones.get(zone, zone), control.title(), spelled.get(name, name)
+    for (zone, control), schedule in _setpoints(objects).items():
+        key, control_type = zones.get(zone, zone), control.title()
         conflicts = tuple(overrides.reasons(THERMOSTAT, control_type, key))
         yield Actuatable(THERMOSTAT, control_type, key, f"{control} of zone {key} (schedule {schedule})", conflicts)
     for each in schedules:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -121,6 +122,28 @@ def test_describe_model__has_zones_setpoints_and_what_can_be_set() -> None:
     assert schedules[lights["schedule_name"]].uses["Lights"] >= 1
     assert description.diagnostics == ()
     assert description.geometry.geometry is not None
+
+
+def test_describe_model__lists_setpoint_of_several_control_types_once() -> None:
+    building = read_building(find_building("warehouse"))
+    zone, *_ = building.objects["Zone"]
+    (name, thermostat), *_ = building.objects["ZoneControl:Thermostat"].items()
+    dual = building.objects["ThermostatSetpoint:DualSetpoint"][thermostat["control_1_name"]]
+    heating, cooling = (dual[f"{kind}_setpoint_temperature_schedule_name"] for kind in ("heating", "cooling"))
+    singles = {"SingleHeating": ("Winter", heating), "SingleCooling": ("Summer", "Always 26")}
+    objects: dict[str, Any] = {**building.objects, "Schedule:Constant": {"Always 26": {"hourly_value": 26.0}}}
+    for number, (kind, (own, schedule)) in enumerate(singles.items(), start=2):
+        objects[f"ThermostatSetpoint:{kind}"] = {own: {"setpoint_temperature_schedule_name": schedule}}
+        control = f"control_{number}"
+        thermostat = {**thermostat, f"{control}_object_type": f"ThermostatSetpoint:{kind}", f"{control}_name": own}
+    objects["ZoneControl:Thermostat"] = {name: thermostat}
+    description = describe_model(replace(building, objects=objects, content="several control types"), "")
+    assert [each.acts_on for each in description.actuators if "Zone" in each.component_type] == [
+        f"heating setpoint of zone {zone} (schedule {heating})",
+        f"cooling setpoint of zone {zone} (schedule {cooling} or Always 26)",
+    ]
+    setpoints = {"heating setpoint": heating, "cooling setpoint": f"{cooling} or Always 26"}
+    assert description.zones[0].setpoints == setpoints
 
 
 def test_describe_model__names_programs_that_set_the_same_control() -> None:
