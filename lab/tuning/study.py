@@ -398,12 +398,16 @@ def _repeated(trials: Iterable[FrozenTrial]) -> int:
 
 
 def _error_in(worker: _Worker) -> str:
-    """Return the error with which a process ended: the last line that it printed."""
+    """Return the error with which a process ended: the line that names its exception, else the last that it printed."""
     if (worker.process.returncode or 0) <= 0:  # a signal: what it printed is not about that
         return ""
     with suppress(OSError):
-        lines = worker.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-        return f": {lines[-1][:_LONGEST_ERROR]}" if lines else ""
+        text = worker.log.read_text(encoding="utf-8", errors="replace").strip()
+        _, traceback, error = text.rpartition("Traceback (most recent call last):\n")
+        lines = error.splitlines()
+        # The frames of a traceback are indented; an exception's own text may have several lines.
+        named = (line for line in lines if traceback and not line.startswith(" "))
+        return f": {next(named, lines[-1])[:_LONGEST_ERROR]}" if lines else ""
     return ""
 
 

@@ -22,7 +22,7 @@ from zenostat.agent_sdk.controllers import RuleBasedController
 class Picky(RuleBasedController):
     def __init__(self, manifest, margin=0.0, setback=0.0):
         if margin == 1.0:
-            raise ValueError("no such margin")
+            raise ValueError("no such margin\\nit is between 0 and 0.9")
         super().__init__(manifest, margin=margin, setback=setback)
 """
 
