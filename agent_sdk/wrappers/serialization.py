@@ -145,7 +145,10 @@ def _class(name: str, vector: bool, where: str) -> Any:  # noqa: FBT001  # priva
         return OURS[name]
     module = gym.wrappers.vector if vector else gym.wrappers
     if not hasattr(module, name):
-        raise InvalidConfig(f"{where}: {name} has no vector form; wrap each environment of the vector instead")
+        raise InvalidConfig(
+            f"{where}: {name} has no vector form; use a single environment (in a training: slots: 1), "
+            "or wrap each environment of a SyncVectorEnv"
+        )
     return getattr(module, name)
 
 

@@ -291,7 +291,7 @@ def test_wrappers__bounds_of_gymnasiums_wrappers_are_plain_numbers(low: Any) -> 
 
 
 def test_wrappers__wrapper_without_a_vector_form_and_one_that_is_no_data() -> None:
-    with pytest.raises(InvalidConfig, match="FrameStackObservation has no vector form; wrap each environment"):
+    with pytest.raises(InvalidConfig, match="FrameStackObservation has no vector form; use a single environment"):
         w.apply_wrappers(fakes(), [{"wrapper": "FrameStackObservation", "stack_size": 2}])
     plain = fake()
     lambdas = TransformObservation(plain, lambda o: o, plain.observation_space)
