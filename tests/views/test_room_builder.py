@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.clock import Clock
 from support.control_room import control_room
 from support.nodes import NodeProgram, nothing_left, until
 from support.tank_plant import TANK
@@ -214,6 +215,21 @@ def test_audit_log__each_entry_is_a_line_of_the_file(tmp_path: Path) -> None:
     assert file.stat().st_mode & 0o777 == 0o600
     with pytest.raises(InvalidConfig, match="audit-log"):
         AuditLog(Updates(), tmp_path)
+
+
+def test_audit_log__attempts_of_one_user_without_the_role_displace_no_others(clock: Clock) -> None:
+    log = AuditLog(Updates(), clock=clock)
+    log.add("ada", "pause", "office", "paused", accepted=True)
+    for clock.now_s in (0.0, 60.0):
+        for _ in range(1000):
+            log.add_denied("wall", "w" * 10_000, "office", "wall may only read")
+        log.add_denied("eve", "write", "office", "eve may only read")
+    operators = [entry["operator"] for entry in log.entries()]
+    assert operators == ["ada", *2 * ([*20 * ["wall"], "eve"])]
+    assert not any(entry["accepted"] for entry in log.entries()[1:])
+    outcomes = {entry["outcome"] for entry in log.entries() if entry["operator"] == "wall"}
+    assert outcomes == {"wall may only read", "wall may only read; further attempts within this minute are not listed"}
+    assert max(len(entry["operation"]) for entry in log.entries()) <= 200
 
 
 def test_audit_log__no_change_is_made_while_entries_cannot_be_written() -> None:

@@ -267,6 +267,16 @@ def test_room__operator_with_a_certificate_writes_under_its_name(room: Any, keys
         assert wall.get("/api/nodes/tank").status_code == 200
         assert wall.post("/api/nodes/tank/write", json={"point": "pump", "value": 1}).status_code == 403
         assert wall.get("/api/audit").status_code == 403
+        assert wall.post("/api/invitation", json={"operator": "eve"}).status_code == 403
+        assert wall.post("/api/nodes/tank/pause", json={}, headers={"origin": "https://evil.example"}).is_client_error
+    with client(room, keys, "ada") as ada:
+        entries = [each for each in ada.get("/api/audit").json()["entries"] if each["operator"] == "wall"]
+    refused = "wall may only read; changes need an operator"
+    assert [tuple(each[key] for key in ("operation", "target", "accepted", "outcome")) for each in entries[-3:]] == [
+        ("write", "tank", False, refused),
+        ("GET /api/audit", "", False, "wall may not read this; it is for operators"),
+        ("POST /api/invitation", "", False, refused),
+    ]
 
 
 @pytest.mark.slow

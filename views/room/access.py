@@ -262,10 +262,17 @@ class Guard:
 
     The application has the whole body of a request at once; one that is too long, or whose client leaves while sending
     it, does not reach the application.
+
+    Args:
+        app: the application.
+        access: what it permits.
+        on_denied: receives name, method, path and reason of each request of a user whose role does not permit it.
     """
 
-    def __init__(self, app: ASGIApp, access: Access) -> None:
-        self._app, self._access = app, access
+    def __init__(
+        self, app: ASGIApp, access: Access, on_denied: Callable[[str, str, str, str], None] | None = None
+    ) -> None:
+        self._app, self._access, self._on_denied = app, access, on_denied
 
     async def __call__(
         self,
@@ -289,6 +296,7 @@ class Guard:
 
         rejection = self._access.rejection(scope)
         if rejection is not None:
+            self._report_denied(scope, rejection[1])
             await _reject(*rejection, "AccessDenied")(scope, receive, send_with_headers)
             return
         body = await _read(receive)
@@ -303,6 +311,12 @@ class Guard:
             return next(received, None) or await receive()
 
         await self._app(scope, receive_next, send_with_headers)
+
+    def _report_denied(self, scope: MutableMapping[str, Any], reason: str) -> None:
+        """Report a rejected request if it is one of a user."""
+        session: Session | None = scope.get("state", {}).get("session")
+        if session is not None and self._on_denied is not None:
+            self._on_denied(session.operator, scope["method"], scope["path"], reason)
 
 
 def _reject(status: int, text: str, error: str) -> JSONResponse:

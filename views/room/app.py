@@ -163,7 +163,7 @@ class Room:
         ]
         handlers: dict[Any, Any] = {ZenostatError: _failure}
         app = Starlette(routes=routes, exception_handlers=handlers, lifespan=self._lifespan)
-        self.asgi = Guard(app, access)
+        self.asgi = Guard(app, access, self._add_denied)
 
     @property
     def watch(self) -> BusWatch:
@@ -216,6 +216,14 @@ class Room:
         response = JSONResponse({})
         response.delete_cookie(self._access.cookie, **self._access.cookie_settings)
         return response
+
+    def _add_denied(self, name: str, method: str, path: str, reason: str) -> None:
+        """Add a request that the role of its user does not permit to the audit log."""
+        match path.split("/"):
+            case ["", "api", "nodes", node, operation]:
+                self.audit.add_denied(name, operation, node, reason)
+            case _:
+                self.audit.add_denied(name, f"{method} {path}", "", reason)
 
     async def _who_am_i(self, request: Request) -> Response:
         session: Session | None = request.state.session

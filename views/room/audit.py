@@ -1,4 +1,4 @@
-"""The audit log of a control room: who has changed what, with the outcome of each change."""
+"""The audit log of a control room: who has changed what, or tried to, with the outcome of each change."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import json
 import os
 import sys
 import threading
-from collections import deque
+import time
+from collections import Counter, deque
 from collections.abc import Awaitable, Callable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,6 +22,9 @@ TOPIC = "audit"
 _KEPT = 500
 _SENT = 100
 _MAX_TEXT = 2000
+_MAX_NAME = 200
+_MAX_DENIED = 20
+"""Entries in a minute for what the role of one user does not permit, so that they displace no others."""
 _MAX_UNWRITTEN = 1 << 20
 """Bytes that are kept while the file cannot be written; what comes later are refusals."""
 
@@ -31,13 +35,16 @@ class AuditLog:
     Args:
         updates: receives the latest entries.
         file: to which each entry is added as a line of JSON; None for none.
+        clock: monotonic time in seconds.
 
     Raises:
         InvalidConfig: the file cannot be written.
     """
 
-    def __init__(self, updates: Updates, file: Path | None = None) -> None:
-        self._updates, self._lock = updates, threading.Lock()
+    def __init__(self, updates: Updates, file: Path | None = None, clock: Callable[[], float] = time.monotonic) -> None:
+        self._updates, self._clock, self._lock = updates, clock, threading.Lock()
+        self._denied: Counter[str] = Counter()
+        self._minute = 0
         self._entries: deque[dict[str, Any]] = deque(maxlen=_KEPT)
         self._number = 0
         self._unwritten = b""
@@ -76,6 +83,23 @@ class AuditLog:
                     sys.stderr.write(f"the audit log cannot be written: {problem}\n")
             latest = [*self._entries][-_SENT:]
         self._updates.publish(TOPIC, to_json({"entries": latest}))
+
+    def add_denied(self, operator: str, operation: str, target: str, reason: str) -> None:
+        """Add an attempt that the role of its user does not permit, of one user at most 20 in a minute.
+
+        Arguments are those of `add`, which may be texts of a stranger of any length; `reason` is the outcome.
+        """
+        minute = int(self._clock() // 60)
+        with self._lock:
+            if minute != self._minute:
+                self._minute = minute
+                self._denied.clear()
+            self._denied[operator] += 1
+            number = self._denied[operator]
+        if number == _MAX_DENIED:
+            reason += "; further attempts within this minute are not listed"
+        if number <= _MAX_DENIED:
+            self.add(operator, operation[:_MAX_NAME], target[:_MAX_NAME], reason, accepted=False)
 
     def _write(self) -> str:
         """Write what is not written yet; return why it cannot be, or ""."""
