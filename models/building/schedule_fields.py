@@ -1,4 +1,4 @@
-"""Read dates, day types and times of EnergyPlus's schedules as EnergyPlus reads them.
+"""Read dates, day types and times of EnergyPlus's schedules and special days as EnergyPlus reads them.
 
 The rules are those of EnergyPlus 25.2's `ScheduleManager` and of its Input Output Reference, "Group Schedules"; each
 was tried with EnergyPlus itself (`tests/models/test_schedule_rules.py`).
@@ -45,6 +45,7 @@ _REST = "ALLOTHERDAY"
 _DESIGN_DAYS = ("summerdesignday", "winterdesignday", "customday")
 _DAY_WORDS = ("AllDays", "AllOtherDays", "Weekdays", "Weekends", "Holidays", *DAY_TYPES)
 _MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
+_WEEK = tuple(name[:3].upper() for name in DAY_TYPES[:7])
 _BEFORE = date(LEAP_YEAR, 1, 1) - timedelta(days=1)
 
 
@@ -77,9 +78,7 @@ def day_of_year(text: str) -> int:
     Raises:
         FieldError: it is no day of the year.
     """
-    words = re.sub("[/:-]", " ", text.upper())
-    words = re.sub("(ST|ND|RD|TH|OF|IN) ", "   ", words)
-    parts = words.split()
+    parts = _date_words(text)
     numbers = [number(part) for part in parts]
     if not parts or (len(parts) == 1 and numbers[0] == 0):
         return 0
@@ -97,6 +96,36 @@ def day_of_year(text: str) -> int:
         swapped = "; the month is first" if month > 12 >= day else ""
         raise FieldError(f"which is no day of the year; expected month/day, such as '12/31'{swapped}")
     return (date(LEAP_YEAR, month, day) - _BEFORE).days
+
+
+def _date_words(text: str) -> list[str]:
+    words = re.sub("[/:-]", " ", text.upper())
+    return re.sub("(ST|ND|RD|TH|OF|IN) ", "   ", words).split()
+
+
+def check_date(text: str) -> None:
+    """Check a date that can also be a weekday of a month, such as `1st Sunday in May` or `Last Sunday in May`.
+
+    Raises:
+        FieldError: EnergyPlus does not accept it.
+    """
+    parts = _date_words(text)
+    try:
+        day_of_year(text)
+    except FieldError:
+        if len(parts) == 3 and _is_ordinal(parts[0]):
+            names = parts[1][:3], parts[2][:3]
+            if any(day in _WEEK and month in _MONTHS for day, month in (names, names[::-1])):
+                return
+        if all(number(part) is not None for part in parts):
+            raise
+        expected = "expected one such as '31 Dec', '1st Sunday in May' or 'Last Sunday in May'"
+        raise FieldError(f"which is no date; {expected}") from None
+
+
+def _is_ordinal(word: str) -> bool:
+    value = number(word)
+    return word == "LA" or (value is not None and 0 <= value <= 5)  # LA is what _date_words leaves of LAST
 
 
 def _month(word: str) -> int:

@@ -1,7 +1,8 @@
-"""Find what EnergyPlus does not accept in schedules, which its input schema does not show."""
+"""Find what EnergyPlus does not accept in schedules, special days and daylight saving time, beyond its input schema."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
@@ -13,6 +14,7 @@ from zenostat.models.building.schedule_fields import (
     DayTimes,
     DayTypes,
     FieldError,
+    check_date,
     date_of,
     day_of_year,
     unknown_day_words,
@@ -24,7 +26,7 @@ _PARTS = ("Schedule:Day:", "Schedule:Week:")
 
 
 def schedule_findings(objects: ModelObjects) -> Iterator[RuleFinding]:
-    """Yield the findings on the schedules of a model, which matches the schema."""
+    """Yield the findings on the schedules, special days and daylight saving time of a model that matches the schema."""
     for kind, check in _CHECKS.items():
         for name, fields in objects.get(kind, {}).items():
             yield from (finding(kind, name, each) for each in check(fields))
@@ -122,7 +124,19 @@ def _year_findings(fields: Mapping[str, Any]) -> Iterator[FieldFinding]:
         yield FieldFinding("", f": no week of it has {date_of(missing[0])}; the days of the year must be complete")
 
 
+def _date_findings(fields: Mapping[str, Any]) -> Iterator[FieldFinding]:
+    for path in ("start_date", "end_date"):
+        text = str(fields.get(path, ""))
+        try:
+            check_date(text)
+        except FieldError as error:
+            has_year = len(re.findall(r"\d+", text)) == 3  # EnergyPlus accepts it
+            yield FieldFinding(path, f": {path} is {text!r}, {error}", is_fatal=not has_year)
+
+
 _CHECKS: dict[str, Callable[[Mapping[str, Any]], Iterator[FieldFinding]]] = {
+    "RunPeriodControl:DaylightSavingTime": _date_findings,
+    "RunPeriodControl:SpecialDays": _date_findings,
     "Schedule:Compact": compact_findings,
     "Schedule:Day:Interval": _interval_findings,
     "Schedule:Day:List": _list_findings,

@@ -136,6 +136,28 @@ def of_year(*ends: tuple[int, int, int, int]) -> dict[str, Any]:
     return of_week("AllDays") | {"Schedule:Year": dates(*ends)}
 
 
+def with_date(kind: str, text: str) -> dict[str, Any]:
+    """Objects of a year with a special day, or with daylight saving time, from a date."""
+    end = {"end_date": "11/30"} if kind == "DaylightSavingTime" else {}
+    return of_year((1, 1, 12, 31)) | {f"RunPeriodControl:{kind}": {"R": {"start_date": text, **end}}}
+
+
+DATES = {
+    **dict.fromkeys(("12/31", "31 Dec", "December 31", "1st January", "2/29", "12/31/2017", "2017-12-31"), ""),
+    **dict.fromkeys(("1st Sunday in October", "1 Sunday in oct", "2nd Monday of May", "Last Sunday in March"), ""),
+    **dict.fromkeys(("1st October Sunday", "last sun mar"), ""),
+    "31/12": "the month is first",
+    "2/30": "is no day of the year",
+    "30 February": "is no date",
+    "367": "is no date",
+    **dict.fromkeys(("First Sunday in October", "6th Sunday in May", "1st Sunday in Foo"), "'1st Sunday in May'"),
+    **dict.fromkeys(
+        ("1st Foo in May", "Sunday in May", "March 2nd Sunday", "Last Day of March"), "'Last Sunday in May'"
+    ),
+    **dict.fromkeys(("Dec", "January 1st", "Last Monday in August 2017"), "expected one such as '31 Dec'"),
+}
+"""Dates of special days and of daylight saving time, and what the error says."""
+
 OTHERS: dict[str, tuple[dict[str, Any], str, str]] = {
     "interval": (of_day("Schedule:Day:Interval", data=[INTERVAL]), "", ""),
     "interval, without until": (of_day("Schedule:Day:Interval", data=[INTERVAL | {"time": "24:00"}]), "", ""),
@@ -165,8 +187,10 @@ OTHERS: dict[str, tuple[dict[str, Any], str, str]] = {
     "year, over New Year": (of_year((11, 1, 2, 28), (3, 1, 10, 31)), "", ""),
     "year, gap": (of_year((1, 1, 5, 31), (7, 1, 12, 31)), "", "no week of it has 6/1"),
     "year, overlap": (of_year((1, 1, 6, 30), (6, 30, 12, 31)), "schedule_weeks[1].start_month", "has 6/30"),
+    **{f"{kind}, {text}": (with_date(kind, text), "start_date" if words else "", words)
+       for kind in ("DaylightSavingTime", "SpecialDays") for text, words in DATES.items()},
 }  # fmt: skip
-"""Objects of other schedules, the field that is wrong, and what its error says."""
+"""Objects of other schedules and of dates, the field that is wrong, and what its error says."""
 
 
 def compact(fields: tuple[Any, ...]) -> dict[str, Any]:
@@ -205,6 +229,12 @@ def test_schedule_findings__of_days_weeks_and_years(case: str) -> None:
         [(findings[0].name, path, True)] if words else []
     )
     assert not words or words in findings[0].text
+
+
+def test_schedule_findings__warn_of_a_day_of_a_year_that_no_calendar_has() -> None:
+    (finding,) = schedule_findings(with_date("SpecialDays", "31/12/2017"))
+    assert (finding.field, finding.is_fatal) == ("start_date", False)
+    assert "the month is first" in finding.text
 
 
 @pytest.mark.slow
