@@ -8,11 +8,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any, Generic, TypeVar
-from weakref import WeakKeyDictionary, WeakSet
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from zenostat.agent_sdk.envs.termination import TerminationLimits
+from zenostat.agent_sdk.envs.wrapper_set import WrapperSet
 from zenostat.agent_sdk.rewards import BoundReward, Reward
 from zenostat.agent_sdk.rewards.base import Begin
 from zenostat.topics.arrays import Floats
@@ -57,7 +58,7 @@ class EpisodeState(Generic[C]):
     reward: BoundReward | None
     limits: TerminationLimits | None
     context: C
-    wrappers: WeakSet[Any] = field(default_factory=WeakSet)
+    wrappers: WrapperSet = field(default_factory=WrapperSet)
     programs: list[ContextProgram] = field(default_factory=list)
     _reset_entries: dict[str, Any] | None = None
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any
-from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from zenostat.agent_sdk.envs.action_values import Actions
+from zenostat.agent_sdk.envs.wrapper_set import WrapperSet
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Manifest
 
@@ -51,7 +51,7 @@ class SpaceNames:
 
     def add_layer(self, wrapper: Any) -> None:
         """Register a wrapper with `observation_names` of its own around this environment."""
-        self.__dict__.setdefault("_layers", WeakSet()).add(wrapper)
+        self.__dict__.setdefault("_layers", WrapperSet()).add(wrapper)
 
     def observation_dict(self, observation: ArrayLike) -> dict[str, float]:
         """Return the values of one building's observation by name, in the units of the manifest.

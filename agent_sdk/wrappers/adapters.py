@@ -7,7 +7,6 @@ import functools
 import inspect
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
-from weakref import WeakSet
 
 import gymnasium as gym
 import numpy as np
@@ -22,6 +21,7 @@ from typing_extensions import override
 from zenostat.agent_sdk.envs.episode_state import ContextProgram
 from zenostat.agent_sdk.envs.snapshot import Snapshot
 from zenostat.agent_sdk.envs.space_names import SpaceNames, by_name
+from zenostat.agent_sdk.envs.wrapper_set import WrapperSet
 from zenostat.agent_sdk.wrappers.base import EnvView, Infos, ResetBatch, StepBatch, Values, WrapperLogic
 from zenostat.agent_sdk.wrappers.names import (
     action_names_of,
@@ -91,7 +91,7 @@ class BuildingWrapper(RecordConstructorArgs, _EnvOrVectorEnv):  # type: ignore[m
                 if isinstance(base, SpaceNames):
                     base.add_layer(self)
         wrappers = getattr(env.unwrapped, "wrappers", None)
-        if self._logic.snapshot_aware and isinstance(wrappers, WeakSet):
+        if self._logic.snapshot_aware and isinstance(wrappers, WrapperSet):
             wrappers.add(self)
 
     @property

@@ -1,6 +1,7 @@
 """The fake building against theory and hand calculation; the conformance kit passes what is good."""
 
 import copy
+import gc
 import math
 import pickle
 import re
@@ -38,7 +39,7 @@ from zenostat.agent_sdk.testing import (
 )
 from zenostat.agent_sdk.testing.check_controller import CONTROLLER_CHECKS
 from zenostat.agent_sdk.testing.fake_vector_env import FakeVectorEnv
-from zenostat.agent_sdk.wrappers import RewardVector, apply_wrappers, names_of
+from zenostat.agent_sdk.wrappers import PreviousObservation, RewardVector, apply_wrappers, names_of
 from zenostat.topics.errors import (
     EpisodeChanged,
     InvalidAction,
@@ -572,3 +573,20 @@ def test_fake_env__is_copied_but_not_pickled() -> None:
     assert (observation.tolist(), reward) == (expected.tolist(), expected_reward)
     with pytest.raises(UsageError, match="nor one of a fake building pickled"):
         pickle.dumps(env)
+
+
+def test_fake_env__copy_has_wrappers_of_its_own() -> None:
+    env = PreviousObservation(FakeEnv(1), ["zone_1_air_temperature"])
+    env.reset(seed=0)
+    copied = copy.deepcopy(env)
+    observation, *_ = copied.step(copied.action_space.sample())
+    alone = copy.deepcopy(copied.unwrapped)
+    for own, wrapper in ((env, env), (copied, copied)):
+        assert isinstance(own.unwrapped, FakeEnv)
+        assert [*own.unwrapped.wrappers] == [wrapper]
+    del env, wrapper, own
+    gc.collect()
+    assert isinstance(copied.unwrapped, FakeEnv)
+    assert isinstance(alone, FakeEnv)
+    assert list(copied.unwrapped.observation_dict(observation)) == list(copied.observation_names)
+    assert not len(alone.wrappers), "a copy without the wrapper"
