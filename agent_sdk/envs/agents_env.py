@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from datetime import datetime
 from typing import Any, Protocol
@@ -35,6 +36,9 @@ class RewardsOfAgents(Protocol):
     def reset(self) -> None:
         """Reset the state for a new episode."""
 
+    def unrewarded(self, values: Floats, begin: datetime) -> dict[str, dict[str, float]]:
+        """Return the terms of each agent in the info of a reset: NaN under the names of those of a step."""
+
     def __call__(self, values: Floats, begin: datetime, reward: float) -> dict[str, dict[str, float]]:
         """Return the terms of each agent's reward.
 
@@ -53,6 +57,10 @@ class RewardFunctionOfAgents:
 
     def reset(self) -> None:
         """Do nothing: a function has no state."""
+
+    def unrewarded(self, values: Floats, begin: datetime) -> dict[str, dict[str, float]]:  # noqa: ARG002
+        """Return NaN as each agent's only term."""
+        return {name: {"reward": math.nan} for name in self._agents}
 
     def __call__(self, values: Floats, begin: datetime, reward: float) -> dict[str, dict[str, float]]:  # noqa: ARG002
         """Return the reward of each agent as its only term."""
@@ -156,9 +164,13 @@ class AgentsEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
         known = {name: value for name, value in (options or {}).items() if name == "snapshot"}
         observation, info = self.env.reset(seed=seed, options=known)
         self.agents = self.possible_agents[:]
+        infos = self._split_info(info)
         if self._rewards_of_agents is not None:
             self._rewards_of_agents.reset()
-        return self._split(observation), self._split_info(info)
+            sample = self.env.sample
+            for name, terms in self._rewards_of_agents.unrewarded(sample.fault_free_values, sample.time).items():
+                infos[name]["reward_terms"] = terms
+        return self._split(observation), infos
 
     @one_thread(BUSY)
     def step(
@@ -177,7 +189,7 @@ class AgentsEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
         if not self.agents:
             raise EpisodeChanged("the episode is over or has not started; call reset() first")
         observation, reward, terminated, truncated, info = self.env.step(self._join(actions))
-        rewards, terms = self._rewards(reward, info)
+        rewards, terms = self._rewards(reward)
         infos = self._split_info(info)
         for name, own_terms in terms.items():
             infos[name]["reward_terms"] = own_terms
@@ -214,11 +226,10 @@ class AgentsEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
             raise InvalidAction(f"agent {name!r}: action {action!r}; {expected}")
         return values
 
-    def _rewards(self, reward: float, info: dict[str, Any]) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
-        """Return each agent's reward, and its terms."""
+    def _rewards(self, reward: float) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
+        """Return each agent's reward, and its terms where they are not those of the environment."""
         if self._rewards_of_agents is None:
-            terms = {name: dict(info.get("reward_terms", {})) for name in self.agents}
-            return dict.fromkeys(self.agents, reward), terms
+            return dict.fromkeys(self.agents, reward), {}
         sample = self.env.sample
         terms = self._rewards_of_agents(sample.fault_free_values, sample.time - self._timestep, reward)
         return {name: sum(own_terms.values()) for name, own_terms in terms.items()}, terms

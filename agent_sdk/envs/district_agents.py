@@ -11,6 +11,7 @@ from zenostat.agent_sdk.envs import arguments
 from zenostat.agent_sdk.envs.agent_parts import AgentPart, indices_of
 from zenostat.agent_sdk.envs.agents_env import AgentRewards, AgentsEnv, RewardFunctionOfAgents, RewardsOfAgents
 from zenostat.agent_sdk.envs.district_env import DistrictEnv
+from zenostat.agent_sdk.envs.episode_state import unrewarded_entries
 from zenostat.agent_sdk.rewards import AnyReward, BoundReward, read_reward
 from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig, did_you_mean
@@ -131,6 +132,7 @@ class RewardByAgent:
         errors = [f"no agent {name!r}; {did_you_mean(str(name), agents)}" for name in rewards if name not in agents]
         errors += [f"no reward of {name!r}" for name in agents if name not in rewards]
         self._bound: dict[str, BoundReward] = {}
+        self._unrewarded: dict[str, dict[str, float]] | None = None
         for name in agents:
             try:
                 if name in rewards:
@@ -144,6 +146,14 @@ class RewardByAgent:
         """Reset the state of all rewards."""
         for bound in self._bound.values():
             bound.reset()
+
+    def unrewarded(self, values: Floats, begin: datetime) -> dict[str, dict[str, float]]:
+        """Return the terms of each agent's reward in the info of a reset, which are NaN."""
+        if self._unrewarded is None:
+            self._unrewarded = {
+                name: unrewarded_entries(bound, values, begin)["reward_terms"] for name, bound in self._bound.items()
+            }
+        return {name: dict(terms) for name, terms in self._unrewarded.items()}
 
     def __call__(self, values: Floats, begin: datetime, reward: float) -> dict[str, dict[str, float]]:  # noqa: ARG002
         """Return the terms of each agent's reward."""

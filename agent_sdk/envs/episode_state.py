@@ -32,6 +32,15 @@ def require_episode(sample: object | None) -> None:
         raise EpisodeChanged("call reset() before set_context(): the beginning of an episode clears the context")
 
 
+def unrewarded_entries(reward: BoundReward, values: Floats, begin: Begin) -> dict[str, dict[str, Any]]:
+    """Return a reward's entries in an info, by calling a copy of it, with NaN for each number; see `unrewarded`."""
+    try:
+        _, terms, metrics = copy.deepcopy(reward)(values, begin)
+    except Exception:  # a user's reward may not be ready for sample 0; the first step raises what is wrong
+        terms, metrics = {}, {}
+    return {"reward_terms": _nan_like(terms), "reward_metrics": _nan_like(metrics)}
+
+
 def _nan_like(numbers: Mapping[str, Any]) -> dict[str, Any]:
     """Return the same keys with NaN for each number, in the same shape and type."""
     return {
@@ -82,11 +91,7 @@ class EpisodeState(Generic[C]):
         if self.reward is None:
             return {}
         if self._reset_entries is None:
-            try:
-                _, terms, metrics = copy.deepcopy(self.reward)(values, begin)
-            except Exception:  # a user's reward may not be ready for sample 0; the first step raises what is wrong
-                terms, metrics = {}, {}
-            self._reset_entries = {"reward_terms": _nan_like(terms), "reward_metrics": _nan_like(metrics)}
+            self._reset_entries = unrewarded_entries(self.reward, values, begin)
         return copy.deepcopy(self._reset_entries)
 
     def capture(self) -> dict[str, Any]:

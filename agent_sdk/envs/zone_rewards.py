@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from datetime import datetime
 
@@ -48,6 +49,10 @@ class SharedReward:
         for bound in self._comfort.values():
             if bound is not None:
                 bound.reset()
+
+    def unrewarded(self, values: Floats, begin: datetime) -> dict[str, dict[str, float]]:  # noqa: ARG002
+        """Return the terms of each agent's reward in the info of a reset, which are NaN."""
+        return {name: {"share": math.nan, "comfort": math.nan} for name in self._comfort}
 
     def __call__(self, values: Floats, begin: datetime, reward: float) -> dict[str, dict[str, float]]:
         """Return the terms of each agent's reward; all of them add up to the building's `reward`."""

@@ -84,13 +84,17 @@ def test_district_agents__are_plants_that_see_themselves_and_what_is_shared(agen
 
 
 def test_district_agents__each_is_paid_its_own_reward(agents: DistrictAgentsEnv) -> None:
-    agents.reset(seed=0)
+    _, begin = agents.reset(seed=0)
     actions = {"east": [0.0], "west": [1000.0], "feeder": [0.0, 0.0]}
     observations, rewards, *_, infos = agents.step({name: np.float32(a) for name, a in actions.items()})
     temperature = agents.observation_dict("east", observations["east"])["east.temperature"]
     assert rewards["east"] == pytest.approx(-abs(temperature - 20.0), rel=1e-6)
     assert rewards["west"] == pytest.approx(-0.5 * 2.0 * 2.8)
     assert infos["feeder"]["reward_terms"] == pytest.approx({"peak": -0.5 * 3.8, "ramping": 0.0})
+    assert {name: set(info["reward_terms"]) for name, info in begin.items()} == {
+        name: set(info["reward_terms"]) for name, info in infos.items()
+    }
+    assert all(np.isnan([*info["reward_terms"].values()]).all() for info in begin.values())
 
 
 @pytest.mark.variants

@@ -257,6 +257,30 @@ def test_zone_agents__function_of_ones_own() -> None:
 
 
 @pytest.mark.parametrize(
+    ("reward", "building_reward", "terms"),
+    [
+        ("shared", "linear", {"energy", "comfort"}),
+        ("shared", None, None),
+        ("own", "linear", {"share", "comfort"}),
+        (lambda _values, _begin: {"zone_1": 1.0, "zone_2": 2.0}, "linear", {"reward"}),
+    ],
+    ids=["shared", "none", "own", "function"],
+)
+def test_zone_agents__infos_of_reset_and_step_have_the_same_terms(
+    reward: Any, building_reward: str | None, terms: set[str] | None
+) -> None:
+    env = fake(2, reward=reward, building_reward=building_reward)
+    for _ in range(2):
+        _, begin = env.reset(seed=0)
+        *_, end = env.step(draw(env))
+        for agent in env.agents:
+            assert begin[agent].keys() == end[agent].keys()
+            of_begin, of_end = (info[agent].get("reward_terms") for info in (begin, end))
+            assert (of_begin and set(of_begin), of_end and set(of_end)) == (terms, terms)
+            assert all(math.isnan(term) for term in (of_begin or {}).values())
+
+
+@pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ({"control": "building"}, "no action of node 'fake' belongs to a single zone; control='zone'"),
