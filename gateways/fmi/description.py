@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import uuid
 from collections.abc import Iterable
-from math import isinf
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
@@ -13,29 +13,53 @@ from zenostat.gateways.points import Reading, readings
 from zenostat.topics.keys import safe_name
 from zenostat.topics.messages import Actuator, Manifest
 from zenostat.topics.points import bounds
+from zenostat.topics.units import conversion
 
 _NAMESPACE = uuid.UUID("5b0bd4d5-6ef4-55c1-9b3a-2f1f7f6b6a0e")
 _SI: dict[str, dict[str, float]] = {
-    "degC": {"K": 1, "offset": 273.15},
-    "deltaC": {"K": 1},
     "K": {"K": 1},
+    "deltaC": {"K": 1},
     "W": {"kg": 1, "m": 2, "s": -3},
+    "var": {"kg": 1, "m": 2, "s": -3},
+    "VA": {"kg": 1, "m": 2, "s": -3},
+    "V": {"kg": 1, "m": 2, "s": -3, "A": -1},
+    "A": {"A": 1},
     "W/m2": {"kg": 1, "s": -3},
     "J": {"kg": 1, "m": 2, "s": -2},
+    "J/kg": {"m": 2, "s": -2},
     "Pa": {"kg": 1, "m": -1, "s": -2},
     "kg": {"kg": 1},
     "kg/s": {"kg": 1, "s": -1},
+    "kg/m3": {"kg": 1, "m": -3},
+    "m": {"m": 1},
+    "m2": {"m": 2},
+    "m3": {"m": 3},
+    "L": {"m": 3, "factor": 1e-3},
     "m3/s": {"m": 3, "s": -1},
-    "L/s": {"m": 3, "s": -1, "factor": 1e-3},
     "m/s": {"m": 1, "s": -1},
     "s": {"s": 1},
-    "h": {"s": 1, "factor": 3600},
+    "hr": {"s": 1, "factor": 3600},
+    "day": {"s": 1, "factor": 86400},
     "rad": {"rad": 1},
-    "deg": {"rad": 1, "factor": 0.017453292519943295},
-    "percent": {"factor": 0.01},
+    "deg": {"rad": 1, "factor": math.pi / 180},
+    "rev/min": {"rad": 1, "s": -1, "factor": math.pi / 30},
     "1": {},
+    "count": {},
+    "kgWater/kgDryAir": {},
+    "ppm": {"factor": 1e-6},
 }
-"""Base units, factors and offsets of units, as FMI defines them; others are opaque names."""
+"""Base units, factors and offsets of units, as FMI defines them; those of other units of a quantity follow."""
+
+
+def _base_unit(unit: str) -> dict[str, float] | None:
+    """Return a unit's exponents of SI base units, factor and offset; None of an opaque name."""
+    if unit in _SI:
+        return _SI[unit]
+    for base, exponents in _SI.items():
+        if converted := conversion(unit, base):
+            factor, offset = converted
+            return {**exponents, "factor": factor, "offset": offset}
+    return None
 
 
 class Interface:
@@ -114,8 +138,8 @@ class Interface:
         units = SubElement(root, "UnitDefinitions") if used else root
         for unit in used:
             entry = SubElement(units, "Unit", name=unit)
-            if unit in _SI:
-                SubElement(entry, "BaseUnit", {name: _text(value) for name, value in _SI[unit].items()})
+            if (base := _base_unit(unit)) is not None:
+                SubElement(entry, "BaseUnit", {name: _text(value) for name, value in base.items()})
         duration_s = manifest.steps * manifest.step_s
         SubElement(
             root, "DefaultExperiment", startTime="0.0", stopTime=_text(duration_s), stepSize=_text(manifest.step_s)
@@ -126,7 +150,7 @@ class Interface:
         for index, actuator in enumerate(self.actuators, len(self.outputs)):
             attributes = {"unit": actuator.unit, "start": _text(_start(actuator))}
             limits = zip(("min", "max"), bounds(actuator), strict=True)
-            attributes |= {name: _text(value) for name, value in limits if not isinf(value)}
+            attributes |= {name: _text(value) for name, value in limits if not math.isinf(value)}
             _variable(variables, f"{actuator.name}_u", index, "input", "Real", "value of the actuator", **attributes)
         for index, actuator in enumerate(self.actuators):
             text = f"whether {actuator.name}_u acts; if false, the building's own control does"

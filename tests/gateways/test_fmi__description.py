@@ -8,6 +8,7 @@ import pytest
 from zenostat.gateways.fmi.description import Interface
 from zenostat.gateways.fmi.gateway import FmiGateway
 from zenostat.topics.messages import Actuator, Aggregation, Manifest, Meter, Mode, Policy, Sensor, Versions
+from zenostat.topics.units import conversion, quantity, units_of
 
 fmpy = pytest.importorskip("fmpy")
 
@@ -81,7 +82,62 @@ def test_fmu__times_units_and_identifier_are_those_of_the_node(tmp_path: Path) -
     assert read_back.coSimulation.modelIdentifier == "_2nd_office_east"
     celsius = next(unit for unit in read_back.unitDefinitions if unit.name == "degC").baseUnit
     assert (celsius.K, celsius.offset) == (1, 273.15)
-    assert next(unit for unit in read_back.unitDefinitions if unit.name == "m3/h").baseUnit is None
+
+
+QUANTITIES = ("K", "deltaC", "W", "J", "var", "VA", "V", "A", "kg/s", "m3/s", "Pa", "s", "1")
+"""A unit of each quantity that has several."""
+
+BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+"""Base units of FMI 2.0, section 2.2.2."""
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "in_si", "exponents"),
+    [
+        (212.0, "degF", 373.15, {"K": 1}),
+        (26.85, "degC", 300.0, {"K": 1}),
+        (18.0, "delta_degF", 10.0, {"K": 1}),
+        (2.5, "kW", 2500.0, {"kg": 1, "m": 2, "s": -3}),
+        (2.0, "kWh", 7.2e6, {"kg": 1, "m": 2, "s": -2}),
+        (36.0, "m3/h", 0.01, {"m": 3, "s": -1}),
+        (60.0, "L/min", 1e-3, {"m": 3, "s": -1}),
+        (1.0, "bar", 1e5, {"kg": 1, "m": -1, "s": -2}),
+        (0.4, "kV", 400.0, {"kg": 1, "m": 2, "s": -3, "A": -1}),
+        (1.5, "hr", 5400.0, {"s": 1}),
+        (180.0, "deg", 3.141592653589793, {"rad": 1}),
+        (50.0, "percent", 0.5, {}),
+        (0.5, "fraction", 0.5, {}),
+    ],
+)
+def test_fmu__units_convert_to_si(
+    tmp_path: Path, value: float, unit: str, in_si: float, exponents: dict[str, int]
+) -> None:
+    sensors = (Sensor(name="point", unit=unit),)
+    (described,) = read(tmp_path, manifest(sensors=sensors, meters=(), actuators=())).unitDefinitions
+    base = described.baseUnit
+    assert {name: power for name in BASE if (power := getattr(base, name))} == exponents
+    assert base.factor * value + base.offset == pytest.approx(in_si, rel=1e-12)
+
+
+def test_fmu__units_of_a_quantity_convert_as_on_the_bus(tmp_path: Path) -> None:
+    names = [name for kind in {quantity(unit) for unit in QUANTITIES} for name in units_of(kind)]
+    sensors = tuple(Sensor(name=f"point_{number}", unit=unit) for number, unit in enumerate(names))
+    described = read(tmp_path, manifest(sensors=sensors, meters=(), actuators=())).unitDefinitions
+    bases = {unit.name: unit.baseUnit for unit in described}
+    assert set(bases) == set(names)
+    for source in names:
+        for target in units_of(quantity(source)):
+            factor, offset = conversion(source, target) or (0.0, 0.0)
+            in_target = (bases[source].factor * 7.0 + bases[source].offset - bases[target].offset) / bases[
+                target
+            ].factor
+            assert in_target == pytest.approx(factor * 7.0 + offset, rel=1e-12, abs=1e-12), (source, target)
+
+
+def test_fmu__name_that_is_no_known_unit_is_opaque(tmp_path: Path) -> None:
+    sensors = (Sensor(name="point", unit="furlong"),)
+    (described,) = read(tmp_path, manifest(sensors=sensors, meters=(), actuators=())).unitDefinitions
+    assert (described.name, described.baseUnit) == ("furlong", None)
 
 
 def test_fmu__node_without_points_is_described(tmp_path: Path) -> None:
