@@ -40,7 +40,7 @@ def test_controllers__values_as_an_action() -> None:
     ("values", "message"),
     [
         ({}, "leaves 'heating_setpoint' to baseline control, but an action always sets a value"),
-        ({HEAT.name: None, COOL.name: 25.0}, "leaves 'heating_setpoint' to baseline control"),
+        ({HEAT.name: None, COOL.name: 25.0}, "if it does at times, use relative actions, or compare recordings"),
         ({HEAT.name: 20.0, COOL.name: 31.0}, "cooling_setpoint = 31; its bounds are 22.5 to 30 degC"),
         ({HEAT.name: 20.0, COOL.name: math.nan}, "cooling_setpoint = nan; expected a finite number"),
         ({HEAT.name: 20.0, COOL.name: 25.0, "fan": 1.0}, "no action of the task sets 'fan'"),
