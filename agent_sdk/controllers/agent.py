@@ -178,8 +178,8 @@ def _value(action: Action, values: Mapping[str, float | None]) -> float:
     if distinct == {None}:
         raise InvalidAction(
             f"the controller leaves {action.name!r} to baseline control, but an action always sets a value; if it "
-            "never sets one, remove it from the scenario's actuators (without any actuator, all is under baseline control); "
-            "if it does at times, use relative actions, or compare recordings of `zenostat run`"
+            "never sets one, remove it from the scenario's actuators (without any actuator, all is under baseline "
+            "control); if it does at times, use relative actions, or compare recordings of `zenostat run`"
         )
     if len(distinct) > 1:
         differing = ", ".join(f"{name} = {values.get(name)}" for name in action.actuators[:5])
