@@ -17,7 +17,7 @@ from zenostat.agent_sdk.testing.fake_link import FakeLink
 from zenostat.agent_sdk.testing.report import Check, Report, name_of, raised, run
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.energyplus_names import THERMOSTAT
-from zenostat.topics.errors import ZenostatError
+from zenostat.topics.errors import UnknownName, ZenostatError
 from zenostat.topics.messages import Manifest
 from zenostat.topics.points import contains, describe_bounds
 
@@ -32,7 +32,7 @@ def check_controller(make: ControllerFactory, manifest: Manifest | None = None, 
     """Check a controller: `check_controller(MyRules)`, `check_controller(lambda m: MyRules(m, margin=0.5))`.
 
     The controller receives episodes of synthetic samples. Without a `manifest`, they are those of a fake building, of
-    which the controller also controls a whole episode.
+    which the controller also controls a whole episode. A controller that names points needs the manifest of its node.
 
     Args:
         make: function that creates the controller from a manifest. A random controller needs a fixed seed.
@@ -57,6 +57,7 @@ class _CheckContext:
     def __init__(self, make: ControllerFactory, manifest: Manifest | None) -> None:
         self.make = make
         self.manifest = FakeBuilding(begin="07-02", end="07-03").manifest if manifest is None else manifest
+        self.hint = "; for another node than the fake building, pass its manifest" if manifest is None else ""
         self.manifest_before = self.manifest.model_dump()
         self._answers: list[Any] | None = None
 
@@ -111,7 +112,8 @@ def _answers(context: _CheckContext) -> Iterator[str]:
     errors = [(step, answer) for step, answer in enumerate(context.answers) if isinstance(answer, Exception)]
     if errors:
         step, error = errors[0]
-        yield f"{raised(error, 'act')} (at sample {step}; at {len(errors)} of {len(context.answers)} samples)"
+        hint = context.hint if isinstance(error, UnknownName) else ""
+        yield f"{raised(error, 'act')} (at sample {step}; at {len(errors)} of {len(context.answers)} samples){hint}"
     for step, answer in enumerate(context.answers):
         if not isinstance(answer, Mapping | Exception | None):
             yield f"act returned {answer!r} at sample {step}; expected a dictionary of actuators and values"
@@ -123,7 +125,7 @@ def _names_known(context: _CheckContext) -> Iterator[str]:
     for _, answer in context.valid_answers:
         for name in answer:
             if name not in names:
-                yield f"the node has no actuator {name!r}"
+                yield f"the node has no actuator {name!r}{context.hint}"
 
 
 def _finite(context: _CheckContext) -> Iterator[str]:

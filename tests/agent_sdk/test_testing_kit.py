@@ -560,6 +560,20 @@ def test_testing_kit__manifest_of_ones_own() -> None:
         check_controller(lambda m: FixedSetpoints(m, equipment=0.5))
 
 
+def test_check_controller__points_of_another_node_need_its_manifest() -> None:
+    class Attic:
+        def __init__(self, manifest: Any) -> None: ...
+
+        def act(self, sample: Any) -> Any:
+            return {"attic_heating_setpoint": 20.0 if sample["attic_air_temperature"] < 21.0 else 19.0}
+
+    manifest = FakeBuilding([Zone("hall"), Zone("attic")]).manifest
+    assert not check_controller(Attic, manifest).failed
+    text = "no sensor or meter 'attic_air_temperature'.*; for another node than the fake building, pass its manifest"
+    with pytest.raises(ConformanceError, match=text):
+        check_controller(Attic)
+
+
 def test_fake_env__is_copied_but_not_pickled() -> None:
     env = FakeEnv(1)
     env.reset(seed=0)

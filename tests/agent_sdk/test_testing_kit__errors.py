@@ -164,7 +164,8 @@ def test_testing_kit__all_failures_are_one_error_in_plain_words() -> None:
     lines = str(error.value).splitlines()
     assert lines[0] == "Answering fails 4 of 13 checks"
     assert "FAILED   names only actuators of the node" in lines
-    assert "         the node has no actuator 'heating'" in lines
+    hint = "for another node than the fake building, pass its manifest"
+    assert f"         the node has no actuator 'heating'; {hint}" in lines
     assert f"         {COOL} = 40 at sample 0; its bounds are 22.5 to 30 degC" in lines
     with pytest.raises(InvalidConfig, match="no check 'finite'; did you mean 'values are finite'"):
         check_controller(Good, skip="finite")
