@@ -96,7 +96,8 @@ def test_access__certificate_that_proves_no_user_is_refused_with_the_reason(cloc
     expired = "the certificate of ada expired on 2001-09-09 01:46 UTC; renew it with: zenostat keys add --force"
     assert access.rejection(request("ada", expires_s=1e9)) == (401, expired)
     assert access.rejection(request("eve")) == (401, "eve is revoked")
-    assert access.rejection(request("node")) == (401, "node is no operator or monitor in the list of names of the bus")
+    unlisted = "node is no operator, monitor or controller in the list of names of the bus"
+    assert access.rejection(request("node")) == (401, unlisted)
     nobody = access.rejection(request(""))
     assert nobody is not None
     assert nobody[1].startswith("sign in with a link")

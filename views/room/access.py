@@ -55,7 +55,7 @@ POLICY = (
 )
 """Content security policy: nothing but this server's own files, no inline script or style, no HTML from texts."""
 
-_SIGN_IN = "sign in with a link that `zenostat room` prints, or a certificate of an operator or monitor"
+_SIGN_IN = "sign in with a link that `zenostat room` prints, or a certificate of an operator, monitor or controller"
 
 _HEADERS = {
     "content-security-policy": POLICY,
@@ -134,12 +134,12 @@ class Access:
         """Return a token that signs one browser in, once and within an hour, as this operator.
 
         Raises:
-            UnknownName: the bus has no operator or monitor of that name.
+            UnknownName: the bus has no operator, monitor or controller of that name.
         """
         if self.role(operator) is None:
             raise UnknownName(
-                f"{operator!r} is no operator or monitor in the list of names of the bus; create a certificate with: "
-                f"zenostat keys add {operator} --role monitor (reads) or --role operator (changes)"
+                f"{operator!r} is no operator, monitor or controller in the list of names of the bus; create "
+                f"a certificate with: zenostat keys add {operator} --role monitor (reads) or --role operator (changes)"
             )
         token = secrets.token_urlsafe(32)
         while len(self._tokens) >= _MAX_TOKENS:

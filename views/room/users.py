@@ -59,7 +59,9 @@ class BusUsers:
         with self._lock:
             is_revoked = name in self._revoked
         return (
-            f"{name} is revoked" if is_revoked else f"{name} is no operator or monitor in the list of names of the bus"
+            f"{name} is revoked"
+            if is_revoked
+            else f"{name} is no operator, monitor or controller in the list of names of the bus"
         )
 
     def _refresh(self) -> None:
