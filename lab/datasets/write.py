@@ -194,22 +194,35 @@ def _spec(env: gym.Env[Any, Any], building: BuildingEnv) -> EnvSpec | None:
     spec = env.spec
     if spec is None:
         return None
+    own = {name: value for name, value in spec.kwargs.items() if callable(value)}  # a reward of the user's
     is_of_file = "file" in spec.kwargs or Path(spec.kwargs.get("scenario") or "").suffix in (".yaml", ".yml")
     if is_of_file and not building.manifest.task.wrappers:
         fields = yaml12.parse(_scenario(building), "the node's scenario")
-        kwargs = {name: value for name, value in fields.items() if name not in _NOT_ARGUMENTS}
+        kwargs = {name: value for name, value in fields.items() if name not in _NOT_ARGUMENTS} | own
     else:
         kwargs = {name: to_json(value) for name, value in spec.kwargs.items()}
-    portable = replace(spec, kwargs=kwargs)
-    try:
-        portable.to_json()
-    except (TypeError, ValueError) as error:
+    wrappers = {wrapper.name: wrapper.kwargs for wrapper in spec.additional_wrappers}
+    code = [name for name, value in (kwargs | wrappers).items() if not _is_json(value)]
+    unrecorded = [name for name, value in wrappers.items() if value is None]
+    if code or unrecorded:
+        problems = [f"{name} is code or cannot be written as JSON" for name in code]
+        problems += [
+            f"{name} does not record its arguments (gymnasium.utils.RecordConstructorArgs)" for name in unrecorded
+        ]
         warnings.warn(
-            f"the environment cannot be written in the data set, which Minari will not recover from it: {error}",
+            f"Minari will not recover the environment from the data set, so make it as here: {'; '.join(problems)}",
             stacklevel=3,
         )
         return None
-    return portable
+    return replace(spec, kwargs=kwargs)
+
+
+def _is_json(value: Any) -> bool:
+    try:
+        json.dumps(value)
+    except (TypeError, ValueError):
+        return False
+    return True
 
 
 def _metadata(

@@ -45,7 +45,7 @@ def test_write_dataset__observations_that_are_no_arrays_are_refused_before_anyth
         write_dataset(named, ["rbc"], ID)
 
 
-@pytest.mark.filterwarnings("ignore:the environment cannot be written")
+@pytest.mark.filterwarnings("ignore:Minari will not recover")
 def test_write_dataset__term_that_would_be_a_group_is_named(folder: Path) -> None:
     env = fake(reward=lambda values, begin: {"energy": -1.0, "energy/hvac": -0.5})
     with pytest.raises(InvalidConfig, match="reward_terms: 'energy/hvac' has a '/', which names in a data set cannot"):
@@ -201,11 +201,36 @@ def test_datasets__discrete_actions_are_integers(folder: Path) -> None:
 def test_datasets__wrapped_observations_are_written_as_the_wrappers_give_them(folder: Path) -> None:
     assert folder.is_dir()
     env = gym.wrappers.TransformObservation(fake(), lambda o: o / 2, fake().observation_space)
-    with pytest.warns(UserWarning, match="Minari will not recover"):  # a lambda is no JSON
+    with pytest.warns(UserWarning, match="Minari will not recover .*: TransformObservation is code"):
         write_dataset(env, ["rbc"], ID, seed=1)
     (episode,) = minari.load_dataset(ID).iterate_episodes()
     plain, _ = fake().reset(seed=1)
     np.testing.assert_array_equal(episode.observations[0], plain / 2)
+
+
+class Unrecorded(gym.Wrapper[Any, Any, Any, Any]):
+    """A wrapper that does not record its arguments."""
+
+
+@pytest.mark.usefixtures("folder")
+def test_datasets__environment_that_cannot_be_recovered_is_named_with_the_reason() -> None:
+    def mine(values: Any, begin: Any) -> dict[str, float]:
+        return {"energy": -1.0}
+
+    text = "Minari will not recover .*: reward is code .*; Unrecorded does not record its arguments"
+    with pytest.warns(UserWarning, match=text):
+        write_dataset(Unrecorded(fake(reward=mine)), ["rbc"], ID)
+
+
+@pytest.mark.slow
+def test_datasets__reward_of_ones_own_beside_a_scenario_file_is_named(folder: Path) -> None:
+    file = folder / "mine.yaml"
+    file.write_text("building: ref-small-office\nweather: USA_CO_Denver\nbegin: 07-03\nend: 07-03\nsteps_per_hour: 1\n")
+    reward = {"reward": lambda values, begin: {"energy": -1.0}}
+    text = "Minari will not recover .*: reward is code"
+    env = gym.make("zenostat/Scenario-v1", file=file, affinity="off", **reward)
+    with closing(env), pytest.warns(UserWarning, match=text):
+        write_dataset(env, ["rbc"], ID)
 
 
 @pytest.mark.parametrize(
@@ -278,6 +303,7 @@ def test_datasets__nothing_is_left_of_a_data_set_that_was_not_completed(folder: 
     assert list(folder.rglob("*")) == []
 
 
+@pytest.mark.filterwarnings("ignore:Minari will not recover")
 def test_datasets__environment_that_a_function_makes_is_closed_and_a_given_one_is_not(folder: Path) -> None:
     assert folder.is_dir()
     closed: list[str] = []
