@@ -5,11 +5,11 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Protocol
 
 import gymnasium as gym
@@ -43,7 +43,7 @@ from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import InvalidAction, InvalidConfig, UsageError, ZenostatError, did_you_mean, repeated
 from zenostat.topics.keys import safe_name
-from zenostat.topics.messages import Event, EventKind
+from zenostat.topics.messages import Event, EventKind, State
 from zenostat.topics.printable import replace_controls
 from zenostat.topics.recording import SUFFIX
 
@@ -57,6 +57,7 @@ _ADDED_SENSOR = re.compile(r"_next(_\d+)?$")
 """Name of a sensor of the next value of a schedule, which relative actions add."""
 
 _MOST_WARNINGS = 20
+_EVENT_S = 5.0
 
 _OF_ACTIONS = ("relative", "unobserved")
 
@@ -389,11 +390,14 @@ def _node_warnings(env: BuildingEnv) -> Iterator[list[str]]:
     messages: SimpleQueue[bytes] = SimpleQueue()
     with bus.session.declare_subscriber(keys.EVENT.at(node), lambda sent: messages.put(sent.payload.to_bytes())):
         yield texts
-        bus.status(node)  # the reply comes after all events
-    while not messages.empty():
-        event = codec.decode(Event, messages.get())
-        if event.kind is EventKind.WARNING and event.text not in texts and len(texts) < _MOST_WARNINGS:
-            texts.append(event.text)
+        status = bus.status(node)
+        awaits_end = status.state is State.ENDED  # its event comes after the warnings of the last timestep
+        with suppress(Empty):
+            while awaits_end or not messages.empty():
+                event = codec.decode(Event, messages.get(timeout=_EVENT_S))
+                if event.kind is EventKind.WARNING and event.text not in texts and len(texts) < _MOST_WARNINGS:
+                    texts.append(event.text)
+                awaits_end = awaits_end and (event.kind, event.episode) != (EventKind.ENDED, status.episode[0])
 
 
 def _create_controllers(

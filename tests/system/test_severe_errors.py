@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from support.nodes import SMALL, NodeProgram
+from support.nodes import SMALL, NodeProgram, until
 from support.run_cli import run_in_process
 
 from zenostat import connect
@@ -69,7 +69,7 @@ def test_severe_errors__each_episode_has_their_events(mixers: dict[str, str], sc
                 link.reset()
                 for sample in link:
                     sample.send({})
-            bus.status(node.name)
+            until(lambda number=episode: EventKind.ENDED in {e.kind for e in events if e.episode == number}, "the end")
             warned = [event for event in events if event.kind is EventKind.WARNING]
             assert {event.episode for event in warned} == {episode}
             _check([event.text for event in warned], mixers)
