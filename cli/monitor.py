@@ -15,6 +15,7 @@ from zenostat.bridge.transport.session import DEFAULT_ENDPOINT
 from zenostat.cli.console import err, out, until_signal
 from zenostat.cli.options import BusOptions, CertificateName, Keys, only_node
 from zenostat.cli.view import At, Size, Tab, screenshot_request
+from zenostat.cli.waiting import Waiting
 from zenostat.topics.errors import InvalidConfig, NodeNotFound, ViewerError, did_you_mean
 from zenostat.topics.keys import Role
 from zenostat.topics.plurals import counted
@@ -109,15 +110,13 @@ def _missing_note(session: zenoh.Session, node: str) -> str:
 
 def _wait_for_bus(options: BusOptions, stop: threading.Event) -> bool:
     """Wait until the endpoint accepts connections; return False if `stop` is set first."""
-    is_announced = False
+    waiting = Waiting(True)
     while not stop.is_set():
         try:
             with options.open_session(Role.MONITOR):
                 return True
         except NodeNotFound as error:
-            if not is_announced:
-                out.print(f"{error}; waiting for it, press Ctrl-C to stop")
-            is_announced = True
+            waiting.report(error)
             stop.wait(_PAUSE_S)
     return False
 
