@@ -184,14 +184,13 @@ class MqttGateway:
 
     async def _reconnect(self) -> BrokerClient:
         """Try to connect until it succeeds; each different reason why it fails is reported once."""
-        failures = Notices(self._notify)
-        for wait_s in chain(_RETRY_S, repeat(_RETRY_S[-1])):
-            await asyncio.sleep(wait_s)
+        failures, waits_s = Notices(self._notify), chain(_RETRY_S, repeat(_RETRY_S[-1]))
+        while True:
+            await asyncio.sleep(next(waits_s))
             try:
                 return await self._connect()
             except BusError as error:
                 failures.add(str(error))
-        raise AssertionError("it tries for ever")
 
     async def _check_unused(self, client: BrokerClient) -> None:
         """Raise `NameInUse` if the gateway of another node publishes below the same topic."""
