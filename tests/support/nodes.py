@@ -181,6 +181,13 @@ def new_episode(bus: zenostat.Bus, node: str = "office") -> int:
     return episode
 
 
+def next_step(bus: zenostat.Bus, node: str) -> int:
+    """Let a paused node simulate a timestep, and return its number; the node may have yet to simulate it."""
+    step = bus.status(node).step[0] + 1
+    bus.step(node)
+    return step
+
+
 def values_of_day(link: ControllerLink) -> list[bytes]:
     """The values of all samples of an episode with setpoints that change with the step."""
     sample = link.reset(seed=0)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from support.control_room import NEEDS_CHROMIUM, Visitor, control_room, write_training
-from support.nodes import NodeProgram, until
+from support.nodes import NodeProgram, next_step, until
 
 import zenostat
 from zenostat.topics import yaml12
@@ -139,9 +139,7 @@ def mine(room: Any) -> Path:
 
 def step_and_show(page: Any, bus: zenostat.Bus, node: str) -> None:
     """Simulate a timestep, and wait until the page shows it."""
-    step = bus.status(node).step[0] + 1
-    bus.step(node)
-    page.get_by_text(f"step {step} of ").wait_for()
+    page.get_by_text(f"step {next_step(bus, node)} of ").wait_for()
 
 
 def time_at(page: Any, share: float) -> str:
@@ -249,9 +247,9 @@ def test_pages__hidden_page_has_no_stream_and_follows_again_when_it_is_shown(
     hide += "document.dispatchEvent(new Event('visibilitychange')); }"
     page.evaluate(hide, True)
     until(lambda: room.room.updates.followers == 0, "it does not follow")
-    bus.step("tank")
+    step = next_step(bus, "tank")
     page.evaluate(hide, False)
-    page.get_by_text(f"step {bus.status('tank').step[0]} of ").wait_for()
+    page.get_by_text(f"step {step} of ").wait_for()
     assert page.get_by_text("no connection").is_hidden()
     page.evaluate(hide, True)
     until(lambda: room.room.updates.followers == 0, "it does not follow")
@@ -361,9 +359,10 @@ def test_keys__held_space_resumes_once_and_scrolls_a_focused_list(ada: Visitor, 
         route.fulfill(json={"text": "accepted"})
 
     page.route("**/tank/resume", accept)
-    for _ in range(5):
-        page.keyboard.down(" ")  # but for the first, they repeat it
-    page.keyboard.up(" ")
+    with page.expect_response("**/resume"):
+        for _ in range(5):
+            page.keyboard.down(" ")  # but for the first, they repeat it
+        page.keyboard.up(" ")
     page.keyboard.press("Shift+ ")
     page.get_by_role("tab", name="All points").focus()
     page.keyboard.press("Tab")
