@@ -24,10 +24,12 @@ class SevereErrors:
 
     Attributes:
         lines: of the errors since the last `drain`.
+        total: EnergyPlus's count of them at the end of the run; empty before it, and if there are none.
     """
 
     def __init__(self) -> None:
         self.lines: list[list[str]] = []
+        self.total = ""
         self._texts: dict[str, None] = {}
         self._is_open = False
         self._times = ""
@@ -50,21 +52,20 @@ class SevereErrors:
             return
         self._is_open = False
         if level == _INFORMATION and (total := _TOTAL.search(text)) and int(total[1]):
-            self.lines.append([f"EnergyPlus counts {counted(int(total[1]), 'severe error', ',')} in this run"])
+            self.total = f"EnergyPlus counts {counted(int(total[1]), 'severe error', ',')} in this run"
 
     def drain(self) -> list[str]:
-        """Return the distinct texts of the errors since the last call; of many, the first ones and the last total."""
+        """Return the distinct texts of the errors since the last call, and their total; of many, the first ones."""
         texts = []
         for first, *others in self.lines:
-            is_total = first.startswith("EnergyPlus counts")
             lines = [first, *filter(None, others[:_MOST_LINES])]
-            text = first if is_total else f"EnergyPlus reports a severe error: {'; '.join(lines)}"
-            if text not in self._texts and (is_total or len(self._texts) < _MOST_TEXTS):
+            text = f"EnergyPlus reports a severe error: {'; '.join(lines)}"
+            if text not in self._texts and len(self._texts) < _MOST_TEXTS:
                 self._texts[text] = None
                 texts.append(text)
         self.lines.clear()
         self._is_open = False
-        return texts
+        return [*texts, self.total] if self.total else texts
 
     def repeat(self) -> list[str]:
         """Return all texts so far."""
