@@ -31,7 +31,7 @@ from zenostat.bridge.runtime.service_manager import reported
 from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
 from zenostat.bridge.transport.session import keys_folder, open_session
 from zenostat.topics import codec, keys
-from zenostat.topics.errors import NameInUse, RequestRejected, UnknownName, did_you_mean
+from zenostat.topics.errors import InvalidConfig, NameInUse, RequestRejected, UnknownName, did_you_mean
 from zenostat.topics.messages import Ack, EventKind, Manifest, Message, Query, RecordingStatus, Revoke
 
 if TYPE_CHECKING:
@@ -330,8 +330,13 @@ class Node:
                 f"{request.name} is the name of a node or router, on which others may depend: revoke it on its "
                 "machines, with zenostat keys revoke"
             )
-        self._deny_list.add(request.name)
-        return Ack(episode=self.exchange.episode, text=f"{request.name} is revoked")
+        text = f"{request.name} is revoked"
+        try:
+            self._deny_list.add(request.name)
+        except InvalidConfig as error:
+            text += f" until this node ends: {error}; before it is started again, add the name to its revoked.txt"
+            self._warn(text)
+        return Ack(episode=self.exchange.episode, text=text)
 
     def _alarms(self) -> AlarmMonitor | None:
         settings, resumption = self.settings, self._resumption

@@ -112,9 +112,10 @@ class DenyList:
         """Revoke a name at once, and write it to the file.
 
         Raises:
-            InvalidConfig: the file cannot be written.
+            InvalidConfig: the file is damaged, or cannot be written; the name is revoked until the process ends.
         """
-        self._set(revoke(self._folder, name))
+        self._set(frozenset({name}))
+        revoke(self._folder, name)
         self._version = self._file_version()
 
     def _file_version(self) -> tuple[int, ...]:

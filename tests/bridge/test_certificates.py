@@ -339,6 +339,18 @@ def test_deny_list__name_that_its_file_no_longer_has_stays_revoked(pki: Path, fo
     ]
 
 
+def test_deny_list__name_is_revoked_where_its_file_cannot_be_written(pki: Path, folder: Path) -> None:
+    changes: list[frozenset[str]] = []
+    timer: Any = SimpleNamespace(at=lambda *_: None)
+    with open_session(listen=[f"unixsock-stream/{folder}/bus"]) as session:
+        deny_list = DenyList(pki, session, timer, changes.append, pytest.fail)
+        (pki / ".names.lock").mkdir()
+        with pytest.raises(InvalidConfig, match=r"cannot create .*names\.lock: Is a directory"):
+            deny_list.add("monitor")
+        deny_list.close()
+    assert (deny_list.names, changes) == ({"monitor"}, [{"monitor"}])
+
+
 # The command
 
 

@@ -35,7 +35,7 @@ from zenostat.topics.messages import (
 )
 
 PLANT = "zenostat.agent_sdk.testing.fake_plant:FakePlant"
-PEOPLE = ("ann", "bob", "cleo", "dan", "eve")
+PEOPLE = ("ann", "bob", "cleo", "dan", "eve", "fay")
 BOTH = (Role.CONTROLLER, Role.OPERATOR)
 
 
@@ -286,6 +286,17 @@ def test_revoke__what_cannot_be_revoked(node: NodeProgram, pki: Path, operator: 
         operator.revoke("room", "gate")
     with connect(node, pki, "second") as controller, pytest.raises(InvalidConfig, match="another role: operator"):
         controller.revoke("room", "ann")
+
+
+def test_revoke__says_that_the_node_cannot_keep_the_name(node: NodeProgram, pki: Path, operator: Bus) -> None:
+    lock = pki / ".names.lock"
+    with events_of(operator, "room") as events:
+        lock.mkdir()
+        text = operator.revoke("room", "fay").text
+        lock.rmdir()
+        assert text.startswith(f"fay is revoked until this node ends: cannot create {lock}: Is a directory; before")
+        assert next_event(events, EventKind.REVOKED).source == "fay"
+        assert next_event(events, EventKind.WARNING).text == text
 
 
 @pytest.mark.slow
