@@ -6,7 +6,9 @@ all records but messages, which it only concatenates; that takes a tenth of the 
 
 from __future__ import annotations
 
+import errno
 import os
+import stat
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
@@ -48,6 +50,10 @@ _LEVEL = 3
 _BLOCK = 1 << 20
 
 
+class FileLost(OSError):
+    """The file has no name any more, or not what was written to it."""
+
+
 class ChunkWriter:
     """An MCAP file, written chunk by chunk to a file descriptor.
 
@@ -63,6 +69,7 @@ class ChunkWriter:
         offset: bytes written; what is before it is complete.
 
     Raises (in all methods that write):
+        FileLost: another program has removed, truncated or overwritten the file.
         OSError: the file cannot be written; it is cut to what was complete.
     """
 
@@ -98,8 +105,24 @@ class ChunkWriter:
         os.lseek(self._descriptor, self.offset, os.SEEK_SET)
         self._write(written.missing_index)
 
+    def check_file(self) -> None:
+        """Check that the file still has a name, and what was written to it.
+
+        Raises:
+            FileLost: another program has removed, truncated or overwritten it.
+        """
+        status = os.fstat(self._descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            return
+        if not status.st_nlink:
+            raise FileLost(errno.ENOENT, "the file has been removed")
+        if status.st_size != self.offset:
+            reason = f"another program has changed the file: it has {status.st_size:,} of {self.offset:,} bytes"
+            raise FileLost(errno.EIO, reason)
+
     def _write(self, data: bytes) -> None:
         """Write all of `data`; of what cannot be written completely, nothing remains."""
+        self.check_file()
         view, written = memoryview(data), 0
         try:
             while written < len(data):

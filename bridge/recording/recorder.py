@@ -7,7 +7,6 @@ once per second.
 
 from __future__ import annotations
 
-import errno
 import itertools
 import json
 import os
@@ -22,7 +21,7 @@ from typing import TYPE_CHECKING
 from zenostat.bridge.node.plant import PlantDescription
 from zenostat.bridge.recording.audit_chain import AuditChain
 from zenostat.bridge.recording.channels import AUDIT, CHANNELS, ORDERS, OTHERS, SENDERS
-from zenostat.bridge.recording.chunk_writer import ChunkWriter
+from zenostat.bridge.recording.chunk_writer import ChunkWriter, FileLost
 from zenostat.bridge.recording.file import file_digest
 from zenostat.topics import VERSION, codec, keys, recording
 from zenostat.topics.messages import (
@@ -57,10 +56,6 @@ _CLOSE_TIMEOUT_S = 30.0
 
 Attachments = Callable[[], Mapping[str, bytes]]
 """Returns the attachments by name; called once, by the thread that writes."""
-
-
-class _FileRemoved(OSError):
-    """The file has no name any more."""
 
 
 class Recorder:
@@ -255,7 +250,7 @@ class Recorder:
         except Exception as error:  # whatever it is, it ends the recording and not the node
             text = error.strerror if isinstance(error, OSError) and error.strerror else f"{error}"
             self._pending.clear()
-            if isinstance(error, _FileRemoved):
+            if isinstance(error, FileLost):
                 self._messages = self._bytes = 0
             self._stop(f"cannot write {self.path}: {text}")
             self._pending.clear()
@@ -278,12 +273,12 @@ class Recorder:
             self._write_pending(writer)
             if is_last:
                 break
-            self._check_file()
+            self._check_file(writer)
         self._flush(writer)
         writer.add_metadata(recording.SUMMARY, self._summary())
         writer.finish()
         self._update(writer)
-        self._check_file(at_once=True)
+        self._check_file(writer, at_once=True)
 
     def _write_head(self, writer: ChunkWriter) -> None:
         about = {
@@ -299,14 +294,13 @@ class Recorder:
         for name, content in attachments.items():
             writer.add_attachment(name, _media_type(name), content, time_ns())
 
-    def _check_file(self, *, at_once: bool = False) -> None:
-        """Stop if the file has been moved, and raise `_FileRemoved` if it has been removed: no write reports that."""
+    def _check_file(self, writer: ChunkWriter, *, at_once: bool = False) -> None:
+        """Stop if the file has been moved, and raise `FileLost` if it is lost: no write reports that."""
         is_due = at_once or monotonic() - self._looked_s >= _LOOK_S
         if not self._is_regular or self.reason or not is_due:
             return
         self._looked_s = monotonic()
-        if not os.fstat(self._descriptor).st_nlink:
-            raise _FileRemoved(errno.ENOENT, "the file has been removed")
+        writer.check_file()
         if not self.path.exists():
             self._stop(f"{self.path} has been moved; the moved file ends there")
 
@@ -321,7 +315,7 @@ class Recorder:
                 self._chain.add(channel, at_ns, payload)
             if writer.size >= _CHUNK_BYTES:
                 self._flush(writer)
-            self._check_file()
+            self._check_file(writer)
             os.sched_yield()
         if self._is_waiting or writer.age_s >= _CHUNK_S:
             self._flush(writer)

@@ -266,6 +266,24 @@ def test_recording__file_that_is_removed_just_before_the_end_is_not_claimed(tmp_
     assert "the file has been removed" in status.reason
 
 
+@pytest.mark.parametrize("content", [b"", bytes(10), bytes(100_000)])
+def test_recording__file_that_another_program_writes_stops_the_recording(tmp_path: Path, content: bytes) -> None:
+    path, reasons = tmp_path / "a.mcap", list[str]()
+    recorder = new_recorder(path, on_stopped=reasons.append)
+    recorder.add(SAMPLES, bytes(1000))
+    until(lambda: (written := recorder.status().bytes) > 1000 and path.stat().st_size == written, "a chunk is written")
+    written = recorder.status().bytes
+    path.write_bytes(content)
+    recorder.add(SAMPLES, bytes(1000))
+    recorder.close()
+    (reason,) = reasons
+    assert reason == (
+        f"cannot write {path}: another program has changed the file: it has {len(content):,} of {written:,} bytes"
+    )
+    assert (recorder.status().state, recorder.status().bytes) == (RecordingState.STOPPED, 0)
+    assert path.read_bytes() == content
+
+
 def test_recording__moved_file_is_complete_up_to_there(tmp_path: Path) -> None:
     path, reasons = tmp_path / "a.mcap", list[str]()
     recorder = new_recorder(path, on_stopped=reasons.append)
