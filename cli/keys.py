@@ -75,14 +75,21 @@ def add(
     Example: `zenostat keys add ppo-7 --role controller --role operator`
     """
     from zenostat.bridge.transport.certificates import add
+    from zenostat.bridge.transport.deny_list import REVOKED, read_revoked
     from zenostat.bridge.transport.name_list import CERTIFIED, NAMES
 
     for text in role:
         if text not in tuple(CERTIFIED):
             raise UnknownName(f"no role {text!r}; {did_you_mean(text, CERTIFIED)}")
     roles = [Role(text) for text in role]
-    _show([add(folder, roles, name, hosts=host or (), days=days, force=force)])
+    revoked = read_revoked(folder)
+    _show([add(folder, roles, name, hosts=host or (), days=days, force=force)], revoked)
     out.print(f"Copy {folder / NAMES} to all nodes and routers, and start them again.")
+    if name in revoked:
+        out.warning(
+            f"{name} is revoked: to accept it again, remove its line from {folder / REVOKED} and from those of all "
+            "nodes and routers; that accepts its earlier certificates as well, so choose another name after a theft"
+        )
 
 
 @app.command()

@@ -21,7 +21,7 @@ EXPIRES_SOON = timedelta(days=30)
 """Time before the end of a certificate's validity from which it is warned of."""
 _MINUTE = "%Y-%m-%d %H:%M UTC"
 _SKEW = timedelta(minutes=1)
-_RENEW = "renew it with: zenostat keys add --force"
+_RENEW = "renew it with: zenostat keys add NAME --role ROLE --force"
 
 
 @dataclass(frozen=True, slots=True)

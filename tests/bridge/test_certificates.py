@@ -239,9 +239,8 @@ def test_certificates__name_that_is_not_in_the_list_is_a_fault(tmp_path: Path) -
 
 def test_certificates__expired_certificate(pki: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     expire(pki, "late", monkeypatch)
-    with pytest.raises(
-        InvalidConfig, match=r"late\.pem: expired on \d{4}-\d\d-\d\d \d\d:\d\d UTC; .*zenostat keys add --force"
-    ):
+    remedy = "zenostat keys add NAME --role ROLE --force"
+    with pytest.raises(InvalidConfig, match=rf"late\.pem: expired on \d{{4}}-\d\d-\d\d \d\d:\d\d UTC; .*{remedy}"):
         identity(pki, Role.CONTROLLER, "late")
 
 
@@ -250,9 +249,8 @@ def test_certificates__that_expire_within_30_days_are_warned_of(tmp_path: Path, 
     warnings = {one.name: one.warning for one in make(tmp_path, days=days)}
     assert warnings["ca"] == ""
     certificate = identity(tmp_path, Role.MONITOR)
-    expected = (
-        f"expires on {certificate.expires:%Y-%m-%d %H:%M} UTC, in {left}; renew it with: zenostat keys add --force"
-    )
+    remedy = "renew it with: zenostat keys add NAME --role ROLE --force"
+    expected = f"expires on {certificate.expires:%Y-%m-%d %H:%M} UTC, in {left}; {remedy}"
     assert warnings["monitor"] == (expected if left else "")
     assert certificate.warning == (f"{certificate.certificate} {expected}" if left else "")
 

@@ -122,6 +122,14 @@ def test_keys__names_and_hosts_are_not_cut(scratch: Path) -> None:
     assert host in rows["node"][3]
 
 
+def test_keys__renewed_certificate_of_a_revoked_name_is_revoked(scratch: Path) -> None:
+    run_in_process("keys", "init", "keys", cwd=scratch)
+    run_in_process("keys", "revoke", "trainer", "--folder", "keys", cwd=scratch)
+    shown = output_of("keys", "add", "trainer", "--role", "controller", "--folder", "keys", "--force", cwd=scratch)
+    assert re.search(r"^controller +trainer .* revoked$", shown, re.MULTILINE)
+    assert "to accept it again, remove its line from keys/revoked.txt" in shown
+
+
 @pytest.mark.slow
 def test_points__have_units_and_bounds() -> None:
     done = run_program("points", "ref-small-office", "--match", "core_zn", "--json")

@@ -188,7 +188,7 @@ def test_threats__certificate_that_expires_soon_is_warned_of_and_renewed_while_t
     listen = [f"tls/127.0.0.1:{free_port()}"]
     arguments = {"keys": folder / "keys", "certificate": "controller", "affinity": "off"}
     with NodeProgram(folder / "node", plant=PLANT, listen=listen, keys=str(folder / "keys")) as node:
-        with pytest.warns(UserWarning, match=r"expires on .* in 19 days; renew it with: zenostat keys add --force"):
+        with pytest.warns(UserWarning, match=r"expires on .* in 19 days; renew it with: zenostat keys add NAME "):
             zenostat.connect(node.endpoint, **arguments).close()
         add(folder / "keys", Role.CONTROLLER, "controller", force=True)
         with warnings.catch_warnings(action="error"), zenostat.connect(node.endpoint, **arguments) as renewed:

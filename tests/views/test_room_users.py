@@ -93,8 +93,9 @@ def test_access__certificate_that_proves_no_user_is_refused_with_the_reason(cloc
     access = Access(frozenset({HOST}), "room", scheme="https", users=BusUsers(copied_keys, clock), clock=clock)
     revoke(copied_keys, "eve")
     clock.now_s = 1.1
-    expired = "the certificate of ada expired on 2001-09-09 01:46 UTC; renew it with: zenostat keys add --force"
-    assert access.rejection(request("ada", expires_s=1e9)) == (401, expired)
+    remedy = "renew it with: zenostat keys add NAME --role ROLE --force"
+    expired = (401, f"the certificate of ada expired on 2001-09-09 01:46 UTC; {remedy}")
+    assert access.rejection(request("ada", expires_s=1e9)) == expired
     assert access.rejection(request("eve")) == (401, "eve is revoked")
     unlisted = "node is no operator, monitor or controller in the list of names of the bus"
     assert access.rejection(request("node")) == (401, unlisted)
