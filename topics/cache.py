@@ -12,8 +12,9 @@ import os
 import shutil
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from platformdirs import user_cache_dir
@@ -21,6 +22,9 @@ from platformdirs import user_cache_dir
 from zenostat.topics.errors import InvalidConfig
 
 _FILLING = ".filling-"
+_MAKING = ".making-"
+_ABANDONED_S = 86_400.0
+"""Age of a temporary folder whose file nobody makes any more."""
 _FILES = "v2"
 """Folder of the cached files; change it when their format changes."""
 
@@ -65,7 +69,7 @@ def cached_bytes(name: str, make: Callable[[Path], None]) -> bytes:
     """Return the content of the cached file `name`, created by `make(path)` if it is missing or damaged.
 
     `make` works in a temporary folder and the file is then moved into place atomically, so two processes may create
-    the same file at once.
+    the same file at once. What a killed process left is removed a day later.
 
     Raises:
         InvalidConfig: the cache cannot be written; the text names `ZENOSTAT_CACHE`.
@@ -83,7 +87,11 @@ def cached_bytes(name: str, make: Callable[[Path], None]) -> bytes:
         damage = error.strerror or str(error)
     with _as_cache_errors():
         target.parent.mkdir(parents=True, exist_ok=True)
-        scratch = Path(tempfile.mkdtemp(prefix=".making-", dir=target.parent))
+        for left in target.parent.glob(f"{_MAKING}*"):
+            with suppress(FileNotFoundError):  # its own process has just removed it
+                if left.stat().st_mtime < time.time() - _ABANDONED_S:
+                    shutil.rmtree(left, ignore_errors=True)
+        scratch = Path(tempfile.mkdtemp(prefix=_MAKING, dir=target.parent))
     if damage:
         _notice(target, damage)
     try:

@@ -4,6 +4,7 @@ import errno
 import multiprocessing
 import os
 import pwd
+import time
 from collections.abc import Callable
 from multiprocessing.synchronize import Barrier
 from pathlib import Path
@@ -61,6 +62,15 @@ def test_cache__maker_has_a_folder_of_its_own_on_the_same_disk_and_keeps_the_fil
     assert seen[0].parent != cache / "v2" / "models"
     assert seen[0].is_relative_to(cache)
     assert files(cache) == ["v2/models/a.json"]
+
+
+def test_cache__what_a_killed_process_left_is_removed_a_day_later(cache: Path) -> None:
+    old, new = (cache / "v2" / "models" / f".making-{name}" for name in ("old", "new"))
+    for folder in (old, new):
+        folder.mkdir(parents=True)
+    os.utime(old, (time.time() - 86_401,) * 2)
+    cached_bytes("models/a.json", text("whole"))
+    assert files(cache) == ["v2/models/.making-new", "v2/models/a.json"]
 
 
 def test_cache__maker_that_fails_leaves_nothing_behind(cache: Path) -> None:
