@@ -299,7 +299,7 @@ class Repetition:
             case SetPace():
                 speed = message.speed or server.manifest.speed
                 server.set_mode(message.mode, speed)
-                pacing.restore(speed, paused=pacing.paused)
+                pacing.pace.speed = speed
             case Pause() | Resume():
                 pacing.restore(pacing.speed, paused=isinstance(message, Pause))
             case StepRequest():

@@ -314,6 +314,23 @@ def test_resume__python_class_goes_on(scratch: Path, tank: dict[str, Any]) -> No
         assert bus.status("tank").step == [60]
 
 
+@pytest.mark.slow
+def test_resume__steps_left_are_those_of_a_pace_that_was_changed_after_them(
+    scratch: Path, tank: dict[str, Any]
+) -> None:
+    path = scratch / "tank.mcap"
+    with node_on_bus(scratch / "first", **tank, record=str(path)) as (node, bus):
+        bus.pause("tank")
+        bus.step("tank", 10)
+        bus.pace("tank", mode="lockstep")
+        levels(bus, 4)
+        until(lambda: (0, 4) in samples(path), "the recorder has written step 4")
+        node.kill()
+    with node_on_bus(scratch / "second", **tank, resume=str(path)) as (_, bus):
+        status = bus.status("tank")
+        assert (status.paused, status.step, status.steps_left) == (True, [4], 6)
+
+
 def _leave_without_answer(bus: zenostat.Bus) -> int:
     """Step while a controller that has left misses the deadline of each step, long before the end of its grace time."""
     with bus.controller("tank", name="filler", priority=12) as link:
