@@ -96,6 +96,8 @@ def identity(folder: Path, role: Role | None, name: str | None = None) -> Identi
     """
     if name is None and role is None:
         raise InvalidConfig(f"name a certificate or a role: {', '.join(CERTIFIED)}")
+    if any(character in str(folder) for character in ";?"):
+        raise InvalidConfig(f"Zenoh cannot read keys from {folder}: choose a path without ';' and '?'")
     name = name or str(role)
     authority = read_certificate(folder / f"{AUTHORITY}.pem")
     path, key = folder / f"{name}.pem", folder / f"{name}.key"

@@ -237,6 +237,13 @@ def test_certificates__name_that_is_not_in_the_list_is_a_fault(tmp_path: Path) -
     assert {each.fault for each in show(tmp_path)} == {""}
 
 
+@pytest.mark.parametrize("name", ["a;b", "why?"])
+def test_certificates__folder_that_zenoh_cannot_read_is_named(tmp_path: Path, name: str) -> None:
+    make(tmp_path / name)
+    with pytest.raises(InvalidConfig, match=re.escape(f"{tmp_path / name}: choose a path without ';' and '?'")):
+        identity(tmp_path / name, Role.MONITOR)
+
+
 def test_certificates__expired_certificate(pki: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     expire(pki, "late", monkeypatch)
     remedy = "zenostat keys add NAME --role ROLE --force"
