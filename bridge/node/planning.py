@@ -138,7 +138,9 @@ def require_episodes(exchange: StepExchange, verb: str) -> None:
     """Raise `RequestRejected`, which says that there is nothing to `verb`, unless all slots are in an episode."""
     if exchange.state is not State.WAITING or any(exchange.done):
         state = exchange.state if exchange.state in (State.STARTING, State.FAILED) else "over"
-        raise RequestRejected(f"there is nothing to {verb}: the episode is {state}; reset it first")
+        over = [str(slot) for slot, done in enumerate(exchange.done) if done]
+        of = f" of slot {', '.join(over)}" if state == "over" and len(over) < len(exchange.done) else ""
+        raise RequestRejected(f"there is nothing to {verb}: the episode{of} is {state}; reset it first")
 
 
 def steps_left(server: ServedNode) -> int:

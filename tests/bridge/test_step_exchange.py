@@ -7,6 +7,8 @@ from support.builders import NAN, actuator, advance, answer, claim, command, exc
 from support.exchange_checks import KEEP, RELEASE, SET, check_event, running, same, unchanged
 
 from zenostat.bridge.exchange.step_exchange import TRANSITIONS, IllegalTransition, StepExchange, Trigger
+from zenostat.bridge.node.planning import require_episodes
+from zenostat.topics.errors import RequestRejected
 from zenostat.topics.messages import Command, EventKind, Mode, State, Write
 
 # The table
@@ -167,6 +169,17 @@ def test_step_exchange__slots_are_commanded_apart() -> None:
     values, sources = advance(at)
     assert same(values, [16.0, 23.0, NAN, 28.0])
     assert sources == ["agent", "agent", "", "agent"]
+
+
+def test_step_exchange__slot_that_is_over_keeps_the_others_from_being_forked() -> None:
+    at = exchange(slots=2)
+    claim(at, "agent")
+    require_episodes(at, "fork")
+    for only, text in (([0, None], "the episode of slot 0 is over"), ([None, 0], "the episode is over")):
+        assert at.intake.command("agent", command([16.0, 23.0] * 2, step=only, episode=[0, 0]), 0.0) is None
+        advance(at, last=True)
+        with pytest.raises(RequestRejected, match=f"there is nothing to fork: {text}; reset it first"):
+            require_episodes(at, "fork")
 
 
 def test_step_exchange__bounds_themselves_are_within() -> None:
