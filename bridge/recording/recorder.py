@@ -301,7 +301,7 @@ class Recorder:
             return
         self._looked_s = monotonic()
         writer.check_file()
-        if not self.path.exists():
+        if not _is_same(self.path, self._descriptor):
             self._stop(f"{self.path} has been moved; the moved file ends there")
 
     def _write_pending(self, writer: ChunkWriter) -> None:
@@ -353,6 +353,14 @@ class Recorder:
             "reason": self.reason,
             **self._chain.summary(),
         }
+
+
+def _is_same(path: Path, descriptor: int) -> bool:
+    """Return whether a path is that of an open file, and not of a new one in its place."""
+    try:
+        return os.path.samestat(path.stat(), os.fstat(descriptor))
+    except OSError:
+        return False
 
 
 def _media_type(name: str) -> str:

@@ -284,12 +284,15 @@ def test_recording__file_that_another_program_writes_stops_the_recording(tmp_pat
     assert path.read_bytes() == content
 
 
-def test_recording__moved_file_is_complete_up_to_there(tmp_path: Path) -> None:
+@pytest.mark.parametrize("is_replaced", [False, True])
+def test_recording__moved_file_is_complete_up_to_there(tmp_path: Path, *, is_replaced: bool) -> None:
     path, reasons = tmp_path / "a.mcap", list[str]()
     recorder = new_recorder(path, on_stopped=reasons.append)
     for number in range(5):
         recorder.add(SAMPLES, number.to_bytes(4, "little"))
     path.rename(tmp_path / "b.mcap")
+    if is_replaced:
+        path.touch()
     until(lambda: reasons, "the recorder notices it")
     recorder.add(SAMPLES, bytes(4))
     recorder.close()
