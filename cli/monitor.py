@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import tempfile
 import threading
 from contextlib import ExitStack
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from zenostat.bridge.runtime.scratch import scratch_folder
 from zenostat.bridge.transport.session import DEFAULT_ENDPOINT
 from zenostat.cli.console import err, out, until_signal
 from zenostat.cli.options import BusOptions, CertificateName, Keys, only_node
@@ -59,7 +59,7 @@ def monitor(
     with ExitStack() as stack:
         recording = save
         if request is not None and recording is None:
-            recording = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="zenostat-"))) / "run.rrd"
+            recording = stack.enter_context(scratch_folder()) / "run.rrd"
         samples = _stream(only, BusOptions(connect, keys, certificate), recording, web=web, once=once)
         if save is not None and samples is not None:
             out.print(f"recording: {save}; open it with: {how_to_open(save)}")

@@ -16,9 +16,9 @@ from functools import lru_cache
 from hashlib import sha256
 from math import isfinite
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
+from zenostat.bridge.runtime.scratch import scratch_folder
 from zenostat.cli.scenarios import plan_scenario, scenario_schema
 from zenostat.models import catalog, data_packs
 from zenostat.models.building.external_files import FILE_FIELDS
@@ -151,9 +151,9 @@ class ScenarioAnswers:
 
     def _plan(self, fields: Mapping[str, Any], name: str) -> Any:
         """Return the plan of a scenario; errors name its file as the command line does in the file's folder."""
-        with TemporaryDirectory(prefix="zenostat-") as folder:
-            path = Path(folder) / f"{name}.yaml"
-            path.write_text(yaml12.dump(resolve_paths(fields, self._folder or Path(folder))), encoding="utf-8")
+        with scratch_folder() as folder:
+            path = folder / f"{name}.yaml"
+            path.write_text(yaml12.dump(resolve_paths(fields, self._folder or folder)), encoding="utf-8")
             try:
                 return plan_scenario({"scenario": str(path)})
             except (UsageError, SimulatorError) as error:

@@ -12,7 +12,7 @@ from zenostat.bridge.node.plant import Provenance
 from zenostat.bridge.recording.file import changed_files, recorded_digests
 from zenostat.bridge.recording.reader import RecordingReader
 from zenostat.bridge.recording.verification import Progress, Verification, Verifier
-from zenostat.bridge.runtime.scratch import Scratch, sweep
+from zenostat.bridge.runtime.scratch import scratch_folder, sweep
 from zenostat.cosim.file import DistrictFile, read_district
 from zenostat.cosim.launch import PlantSet, input_files
 from zenostat.cosim.plant import DistrictPlant, describe
@@ -49,15 +49,14 @@ def verify_district(
         file = read_district(district)
         changes = _changes(reader, file, exact=tolerance is None)
         sweep()
-        scratch = Scratch()
-        stack.callback(scratch.remove)
+        folder = stack.enter_context(scratch_folder())
         plants = PlantSet(file)
         stack.callback(plants.close)
         binding = plants.open()
         description = describe(binding, file.spec.name, "", Provenance())
         plant = DistrictPlant(binding, description, plants.guarded(repeat=True), file.spec.solver, plants.stop)
         stack.callback(plant.close)
-        verifier = Verifier(reader, plant, scratch.folder / "copies", tolerance=tolerance, progress=progress)
+        verifier = Verifier(reader, plant, folder / "copies", tolerance=tolerance, progress=progress)
         stack.callback(verifier.close)
         verifier.result.notes += changes
         result = verifier.run()

@@ -19,7 +19,7 @@ from zenostat.bridge.node.plant import PlantContext, PlantFactory, RepeatablePla
 from zenostat.bridge.recording.file import changed_files, file_digest
 from zenostat.bridge.recording.reader import RecordingReader
 from zenostat.bridge.recording.verification import Progress, Verification, Verifier
-from zenostat.bridge.runtime.scratch import Scratch, sweep
+from zenostat.bridge.runtime.scratch import scratch_folder, sweep
 from zenostat.eplus_node.config import NodeConfig, read_config, scenario_of
 from zenostat.eplus_node.plan import REPEATED_SETTINGS, input_files, plan
 from zenostat.eplus_node.plant import EnergyPlusPlant
@@ -67,15 +67,14 @@ def verify(
         reader = stack.enter_context(RecordingReader(path))
         factory, changes = RecordedPlant(reader, exact=tolerance is None).factory(plant, {"fmu": fmu, "grid": grid})
         sweep()
-        scratch = Scratch()
-        stack.callback(scratch.remove)
+        folder = stack.enter_context(scratch_folder())
         slots, registry = reader.manifest.slots, EngineRegistry(UNRESPONSIVE_S)
         placement = (SlotPlacement(),) * slots
-        context = PlantContext(scratch.folder, placement, baseline=reader.manifest.baseline, registry=registry)
+        context = PlantContext(folder, placement, baseline=reader.manifest.baseline, registry=registry)
         new_plant = factory(context)
         stack.callback(new_plant.close)
         assert isinstance(new_plant, RepeatablePlant)
-        verifier = Verifier(reader, new_plant, scratch.folder / "copies", tolerance=tolerance, progress=progress)
+        verifier = Verifier(reader, new_plant, folder / "copies", tolerance=tolerance, progress=progress)
         stack.callback(verifier.close)
         verifier.result.notes += changes
         return verifier.run()

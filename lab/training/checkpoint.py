@@ -13,7 +13,6 @@ from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -26,6 +25,7 @@ from stable_baselines3.common.save_util import load_from_zip_file
 from zenostat.agent_sdk.rewards import BoundReward
 from zenostat.agent_sdk.wrappers import restore_wrappers, save_wrappers
 from zenostat.agent_sdk.wrappers.names import inside, layers
+from zenostat.bridge.runtime.scratch import scratch_folder
 from zenostat.lab.training.environments import TrainingEnv, simulated_state
 from zenostat.lab.training.episode_recorder import RunningEpisodes, repeat
 from zenostat.topics.errors import InvalidConfig
@@ -174,8 +174,8 @@ def restore_environment(checkpoint: Checkpoint, env: TrainingEnv, seed: int) -> 
     texts = [checkpoint.wrappers, *checkpoint.state.get("reference_wrappers", ())]
     for each, text in zip(env.both, texts, strict=False):
         if text:
-            with TemporaryDirectory(prefix="zenostat-") as folder:
-                path = Path(folder) / WRAPPERS
+            with scratch_folder() as folder:
+                path = folder / WRAPPERS
                 path.write_text(text, encoding="utf-8")
                 restore_wrappers(each, path)
     _restore_memories(checkpoint.state, env)
@@ -283,8 +283,8 @@ def restore_random_states(checkpoint: Checkpoint, model: BaseAlgorithm, env: Tra
 
 def wrapper_state(env: Any) -> str:
     """Return the wrappers of an environment and what they have learnt as YAML; "" without any."""
-    with TemporaryDirectory(prefix="zenostat-") as folder:
-        path = Path(folder) / WRAPPERS
+    with scratch_folder() as folder:
+        path = folder / WRAPPERS
         save_wrappers(env, path)
         text = path.read_text(encoding="utf-8")
     return "" if text.strip() == "wrappers: []" else text

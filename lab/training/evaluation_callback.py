@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any
 
@@ -18,6 +17,7 @@ from zenostat.agent_sdk.vec_normalization import mark_normalized, normalization_
 from zenostat.agent_sdk.wrappers import save_wrappers
 from zenostat.agent_sdk.wrappers.checkpoint import LOGS, frozen_statistics, set_wrapper_states, without_logs
 from zenostat.agent_sdk.wrappers.names import attribute, layers
+from zenostat.bridge.runtime.scratch import scratch_folder
 from zenostat.lab.evaluate import run_episode
 from zenostat.metrics.episode_metrics import EpisodeMetrics
 from zenostat.topics import yaml12
@@ -242,8 +242,8 @@ def _copy_wrapper_state(training: Any, env: gym.Env[Any, Any]) -> str:
     """
     base = training.unwrapped  # the wrappers of slots are around the vector environment
     envs = getattr(base, "envs", None) or [env for env in [getattr(base, "env", None)] if env is not None]
-    with TemporaryDirectory(prefix="zenostat-") as folder:
-        path = Path(folder) / "learnt.yaml"
+    with scratch_folder() as folder:
+        path = folder / "learnt.yaml"
         save_wrappers(envs[0] if envs else env, path)
         text = path.read_text(encoding="utf-8")
     content = yaml12.parse(text, str(path))

@@ -219,6 +219,20 @@ def test_node__folder_of_a_live_owner_is_not_swept(scratch: Path) -> None:
     assert not mine.folder.exists()
 
 
+def test_node__folder_of_a_killed_program_is_swept() -> None:
+    with Program(
+        "from zenostat.bridge.runtime.scratch import scratch_folder\n"
+        "with scratch_folder() as folder: print(folder, flush=True); input()"
+    ) as program:
+        folder = Path(program.line())
+        sweep()
+        assert folder.exists()
+        os.kill(program.pid, signal.SIGKILL)
+        program.close()
+    sweep()
+    assert not folder.exists()
+
+
 @pytest.mark.slow
 def test_node__node_has_no_file_in_shared_memory(shared_node: NodeProgram) -> None:
     """It would stay there if the node is killed."""

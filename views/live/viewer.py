@@ -10,7 +10,6 @@ import signal
 import socket
 import subprocess
 import sys
-import tempfile
 import time
 import warnings
 from collections.abc import Iterator, Mapping
@@ -19,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from zenostat.bridge.runtime.processes import end_processes
+from zenostat.bridge.runtime.scratch import scratch_folder
 from zenostat.topics.errors import InvalidConfig, ViewerError
 
 NO_VULKAN = (
@@ -118,9 +118,9 @@ def serving(*options: str, environment: Mapping[str, str] | None = None) -> Iter
     """
     port = free_port()
     command = [program(), "--bind", "127.0.0.1", "--port", str(port), *options]
-    with tempfile.TemporaryDirectory(prefix="zenostat-") as folder:  # it removes no files when it is terminated
-        log = Path(folder) / "viewer.log"
-        own = {"TMPDIR": folder, "XDG_CONFIG_HOME": folder, "XDG_RUNTIME_DIR": folder, "CI": "1"}
+    with scratch_folder() as folder:  # it removes no files when it is terminated
+        log = folder / "viewer.log"
+        own = {**dict.fromkeys(("TMPDIR", "XDG_CONFIG_HOME", "XDG_RUNTIME_DIR"), str(folder)), "CI": "1"}
         with log.open("wb") as output:
             process = subprocess.Popen(
                 [sys.executable, "-P", "-c", _ENDS_WITH_PARENT, str(os.getpid()), *command],
@@ -174,8 +174,8 @@ def readable(recording: Path) -> Iterator[Path]:
     if _is_complete(recording):
         yield recording
         return
-    with tempfile.TemporaryDirectory(prefix="zenostat-") as folder:
-        copy = Path(folder) / recording.name
+    with scratch_folder() as folder:
+        copy = folder / recording.name
         command = [program(), "rrd", "merge", "--continue-on-error", str(recording.absolute()), "-o", str(copy)]
         subprocess.run(command, capture_output=True, check=False)
         if not _is_complete(copy):
