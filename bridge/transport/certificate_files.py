@@ -32,6 +32,7 @@ def write_names(folder: Path, names: Names, key: ec.EllipticCurvePrivateKey) -> 
     def write() -> None:
         with atomic_file(folder / NAMES) as temporary:
             _write_file(temporary, sign_names(names, key), 0o644)
+            temporary.chmod(0o644)  # whatever the umask: nodes may be another user's
 
     in_folder(folder, write)
 

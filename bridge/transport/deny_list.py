@@ -63,6 +63,7 @@ def revoke(folder: Path, name: str) -> frozenset[str]:
         try:
             with atomic_file(folder / REVOKED) as temporary:
                 temporary.write_text(content, encoding="utf-8")
+                temporary.chmod(0o644)  # the node may be another user's
         except OSError as error:
             raise InvalidConfig(f"cannot write {folder / REVOKED}: {error.strerror}") from None
     return names

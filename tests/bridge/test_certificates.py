@@ -1,5 +1,6 @@
 """Folders of keys: what is made, what is refused, and what OpenSSL thinks of it."""
 
+import os
 import re
 import shutil
 import subprocess
@@ -342,6 +343,16 @@ def test_deny_list__name_that_its_file_no_longer_has_stays_revoked(pki: Path, fo
         "no longer has monitor",
         "no longer has gateway, monitor",
     ]
+
+
+def test_certificates__lists_of_names_can_be_read_by_the_user_of_the_node(tmp_path: Path) -> None:
+    before = os.umask(0o077)
+    try:
+        make(tmp_path)
+        revoke(tmp_path, "monitor")
+    finally:
+        os.umask(before)
+    assert [(tmp_path / name).stat().st_mode & 0o777 for name in (NAMES, REVOKED, "ca.key")] == [0o644, 0o644, 0o600]
 
 
 def test_deny_list__name_is_revoked_where_its_file_cannot_be_written(pki: Path, folder: Path) -> None:
