@@ -211,7 +211,7 @@ def _serve(config: NodeSettings, create: Callable[..., Node], *, is_endpoint_exp
         create = partial(create, observer=observer, program=True)
         running = start(stack, config, create, is_endpoint_explicit=is_endpoint_explicit)
         observer.recording = lambda: running.recording
-        observer.warning = lambda: running.namesake_warning or running.expiry_warning
+        observer.warning = lambda: running.namesake_warning or running.link_warning or running.expiry_warning
         if running.recording is not None:
             out.print(f"{config.name}: {describe_recording(running.recording)}")
         if out.is_json:
@@ -294,7 +294,8 @@ class ProgressBar:
 
     Attributes:
         recording: returns the state of the node's recording.
-        warning: returns the warning about another node of the same name or the node's certificate; empty without one.
+        warning: returns the warning about another node of the same name, the node's connection or its certificate;
+            empty without one.
     """
 
     def __init__(self, bars: Progress, name: str) -> None:

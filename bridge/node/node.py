@@ -29,6 +29,7 @@ from zenostat.bridge.runtime.contention import CorePlacement
 from zenostat.bridge.runtime.scratch import Scratch, sweep
 from zenostat.bridge.runtime.service_manager import reported
 from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
+from zenostat.bridge.transport.link_watch import LinkWatch
 from zenostat.bridge.transport.session import keys_folder, open_session
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import InvalidConfig, NameInUse, RequestRejected, UnknownName, did_you_mean
@@ -56,6 +57,7 @@ class Node:
         branches: its snapshots and branches.
         namesake_warning: the latest warning that another node of the same name is on the bus; empty if none is.
         expiry_warning: the latest warning since its start that its certificate expires or has expired; empty if none.
+        link_warning: the latest sentence about the loss or the return of its only connection; empty if none.
 
     Raises:
         InvalidConfig: the node's name cannot be part of a key.
@@ -81,7 +83,7 @@ class Node:
         timeout_s = SHUTDOWN_TIMEOUT_S + finish_s
         self._guard = ShutdownGuard(self._stop_waiting, self._end_process if program else None, timeout_s)
         self._has_server = False
-        self.namesake_warning = self.expiry_warning = ""
+        self.namesake_warning = self.expiry_warning = self.link_warning = ""
         self._deny_list: DenyList | None = None
         self._resumption: Resumption | None = None
         self._close = ExitStack()
@@ -243,6 +245,7 @@ class Node:
         if settings.faults is not None and resumption is None:
             self.server.inject(read_plan(settings.faults))
         self._control_access()
+        self._watch_links()
         self.branches = BranchManager(
             self.server, self._folder, cpus=self._cpus, limit=settings.branches, registry=self._registry
         )
@@ -269,6 +272,17 @@ class Node:
         self.server.access = Access(names, lambda: deny_list.names)
         self._deny_list = deny_list
         self._opened.watch_expiry(self.server.timer, self._on_expiry)
+
+    def _watch_links(self) -> None:
+        """Report the loss and the return of its only connection."""
+        if self.settings.connect and not self.settings.listen:
+            watch = LinkWatch(self.session, self.settings.connect, self._on_link_change)
+            self._close.callback(watch.close)
+
+    def _on_link_change(self, text: str) -> None:
+        """Report in any thread."""
+        self.link_warning = text
+        self._warn(text)
 
     def _on_revoked(self, names: frozenset[str]) -> None:
         """End what revoked names have; in any thread."""
