@@ -19,7 +19,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from zenostat.bridge.runtime.timer import Timer
-from zenostat.bridge.transport.name_list import locked_names
+from zenostat.bridge.transport.name_list import LOCK_S, locked_names
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.keys import is_name
@@ -29,6 +29,9 @@ REVOKED = "revoked.txt"
 
 CHECK_S = 1.0
 """Interval of the checks of the file."""
+
+_NODE_LOCK_S = 1.0
+"""Longest time that a node waits for another program that changes names: it simulates nothing meanwhile."""
 
 
 def read_revoked(folder: Path) -> frozenset[str]:
@@ -51,13 +54,13 @@ def read_revoked(folder: Path) -> frozenset[str]:
     return frozenset(filter(None, names))
 
 
-def revoke(folder: Path, name: str) -> frozenset[str]:
-    """Add a name to the file; return all revoked names.
+def revoke(folder: Path, name: str, *, wait_s: float = LOCK_S) -> None:
+    """Add a name to the file, after at most `wait_s` in which another program changes names.
 
     Raises:
         InvalidConfig: the file is damaged, or cannot be written.
     """
-    with locked_names(folder):
+    with locked_names(folder, wait_s=wait_s):
         names = read_revoked(folder) | {name}
         content = "".join(f"{entry}\n" for entry in ("# names whose certificates are revoked", *sorted(names)))
         try:
@@ -66,7 +69,6 @@ def revoke(folder: Path, name: str) -> frozenset[str]:
                 temporary.chmod(0o644)  # the node may be another user's
         except OSError as error:
             raise InvalidConfig(f"cannot write {folder / REVOKED}: {error.strerror}") from None
-    return names
 
 
 class DenyList:
@@ -116,7 +118,7 @@ class DenyList:
             InvalidConfig: the file is damaged, or cannot be written; the name is revoked until the process ends.
         """
         self._set(frozenset({name}))
-        revoke(self._folder, name)
+        revoke(self._folder, name, wait_s=_NODE_LOCK_S)
         self._version = self._file_version()
 
     def _file_version(self) -> tuple[int, ...]:

@@ -36,19 +36,19 @@ Names = Mapping[str, tuple[Role, ...]]
 """The roles of each name."""
 
 
-_LOCK_S = 30.0
-"""Longest time to wait for another program that changes names."""
+LOCK_S = 30.0
+"""Longest time that a command waits for another program that changes names."""
 
 
 @contextmanager
-def locked_names(folder: Path) -> Iterator[None]:
+def locked_names(folder: Path, *, wait_s: float = LOCK_S) -> Iterator[None]:
     """Let one program at a time change the files with names in a folder of keys.
 
     Raises:
-        InvalidConfig: another one still does after half a minute, or the folder cannot be written.
+        InvalidConfig: another one still does after this time, or the folder cannot be written.
     """
     refusal = f"another program is changing the names in {folder}; try again"
-    with locked(folder / ".names.lock", refusal, wait_s=_LOCK_S):
+    with locked(folder / ".names.lock", refusal, wait_s=wait_s):
         yield
 
 
