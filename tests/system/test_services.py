@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import configparser
+import inspect
 import json
 import os
 import re
@@ -20,15 +21,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import typer.main
 import yaml
 from support.nodes import PATIENCE_S, free_port, until
 from support.run_cli import ZENOSTAT, run_program
 
 from zenostat.bridge.runtime.service_manager import reported
+from zenostat.cli.commands import app
 
-SERVICES = Path(__file__).parents[2] / "examples" / "services"
+ROOT = Path(__file__).parents[2]
+CONTAINERFILE = ROOT / "Containerfile"
+SERVICES = ROOT / "examples" / "services"
 UNITS = sorted(SERVICES.glob("*.service"))
-PLANT = str(Path(__file__).parents[2] / "examples" / "own_plant.py") + ":HeatPumpRoom"
+PLANT = str(ROOT / "examples" / "own_plant.py") + ":HeatPumpRoom"
 WATCHDOG_S = 0.4
 
 
@@ -194,6 +199,15 @@ def words_are_accepted(words: list[str]) -> None:
             assert re.search(rf"{re.escape(word)}\b", help_.stdout), (word, command)
 
 
+def named_extras(words: list[str]) -> set[str]:
+    """The extras that the module of a command asks for; `words` are those behind `zenostat --log json`."""
+    command: Any = typer.main.get_command(app)
+    for name in words[: 2 if words[0] == "gateway" else 1]:
+        command = command.commands[name]
+    source = Path(inspect.unwrap(command.callback).__code__.co_filename).read_text(encoding="utf-8")
+    return set(re.findall(r'\b(?:requires_extra|install_command)\("([\w-]+)"', source))
+
+
 @pytest.mark.variants
 @pytest.mark.parametrize("path", UNITS, ids=lambda path: path.stem)
 def test_unit_files__start_commands_that_exist_and_restrict_them(path: Path) -> None:
@@ -231,4 +245,18 @@ def test_compose_file__services_are_restricted_and_have_commands_that_exist() ->
         assert service["network_mode"] == "host"
         if "command" in service:
             words_are_accepted(shlex.split(service["command"]))
+            assert (SERVICES / service["build"]["context"] / service["build"]["dockerfile"]).samefile(CONTAINERFILE)
     assert not any("0.0.0.0" in service.get("command", "") for service in services.values())
+
+
+def test_installed_extras__are_those_that_the_services_ask_for() -> None:
+    services = yaml.safe_load((SERVICES / "compose.yaml").read_text())["services"].values()
+    image = re.findall(r"^ARG EXTRAS=(.*)$", CONTAINERFILE.read_text(), re.M)
+    page = re.findall(r"pip install '\.\[(.*)\]'", (ROOT / "docs" / "services.md").read_text())
+    for (extras,), commands in (
+        (image, [service["command"] for service in services if "command" in service]),
+        (page, re.findall(r"^ExecStart=(.*)$", "".join(path.read_text() for path in UNITS), re.M)),
+    ):
+        needed = set().union(*(named_extras(shlex.split(command)[3:]) for command in commands))
+        assert needed == {"mqtt", "recording", "room"}
+        assert needed <= set(extras.split(","))
