@@ -65,9 +65,16 @@ def next_recording(record: Path) -> Path:
 
 
 def check_path(path: Path, *, overwrite: bool = False) -> None:
-    """Raise `InvalidConfig` if there is something at `path` that must not be replaced; nothing is created or opened."""
+    """Raise `InvalidConfig` if a recording must not or cannot replace what is at `path`; nothing is created or written.
+
+    Args:
+        path: of the file.
+        overwrite: a recording that no other program is writing to may be replaced.
+    """
     _check_regular(path)
-    if not overwrite and (path.exists() or path.is_symlink()):
+    if overwrite and os.path.exists(path):
+        os.close(_open_replaceable(path))
+    elif not overwrite and os.path.lexists(path):
         raise InvalidConfig(_exists(path))
 
 
@@ -115,9 +122,20 @@ def open_recording(path: Path, *, overwrite: bool = False) -> int:
         InvalidConfig: the file exists (with `overwrite`: and is not a recording), another program is recording to it,
             it is no regular file, or it cannot be created.
     """
+    return _open_replaceable(path, os.O_CREAT | (0 if overwrite else os.O_EXCL))
+
+
+def _open_replaceable(path: Path, creation: int = 0) -> int:
+    """Open and lock an empty file or a recording; return its descriptor. Errors are those of `open_recording`.
+
+    Args:
+        path: of the file.
+        creation: flags with which it is created, and emptied; without them, it is left as it is.
+    """
     try:
-        _create_folder(path.parent)
-        descriptor = open_regular(path, os.O_RDWR | os.O_CREAT | (0 if overwrite else os.O_EXCL))
+        if creation:
+            _create_folder(path.parent)
+        descriptor = open_regular(path, os.O_RDWR | creation)
     except FileExistsError:
         raise InvalidConfig(_exists(path)) from None
     except OSError as error:
@@ -126,7 +144,8 @@ def open_recording(path: Path, *, overwrite: bool = False) -> int:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         if (head := os.pread(descriptor, len(MAGIC), 0)) not in (b"", MAGIC):
             raise InvalidConfig(f"{path} exists and is not a recording (it begins with {head!r}); choose another name")
-        os.ftruncate(descriptor, 0)
+        if creation:
+            os.ftruncate(descriptor, 0)
     except OSError as error:
         os.close(descriptor)
         if isinstance(error, BlockingIOError):

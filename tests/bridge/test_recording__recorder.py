@@ -197,9 +197,9 @@ def test_recording__full_disk_stops_the_recording_by_name_and_leaves_whole_chunk
 def test_recording__one_file_has_one_recorder(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     recorder = new_recorder(path)
-    for overwrite in (False, True):
+    for function, overwrite in itertools.product((check_path, open_recording), (False, True)):
         with pytest.raises(InvalidConfig, match="another node is recording to"):
-            open_recording(path, overwrite=overwrite)
+            function(path, overwrite=overwrite)
     recorder.close()
     with pytest.raises(InvalidConfig, match="exists; choose another name"):
         open_recording(path)
@@ -211,11 +211,16 @@ def test_recording__one_file_has_one_recorder(tmp_path: Path) -> None:
 
 def test_recording__only_a_recording_is_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "thesis.mcap"
+    check_path(path, overwrite=True)
+    assert not path.exists()
     path.write_text("not a recording")
-    with pytest.raises(InvalidConfig, match="is not a recording"):
-        open_recording(path, overwrite=True)
+    for function in (check_path, open_recording):
+        with pytest.raises(InvalidConfig, match="is not a recording"):
+            function(path, overwrite=True)
     assert path.read_text() == "not a recording"
     path.write_bytes(MAGIC + b"anything")
+    check_path(path, overwrite=True)
+    assert path.read_bytes() == MAGIC + b"anything"
     os.close(open_recording(path, overwrite=True))
 
 

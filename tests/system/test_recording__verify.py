@@ -347,5 +347,7 @@ def test_recording__record_command_starts_and_ends_a_recording(shared_node: Node
     assert "exists; choose another name" in done.stderr
     assert run("record", "office", "--out", str(path), "--overwrite", *at).returncode == 0
     assert run("record", "office", "--stop", *at).returncode == 0  # armed, not begun
+    path.write_text("mine")
+    assert "is not a recording" in run("record", "office", "--out", str(path), "--overwrite", *at).stderr
     for words in ((), ("--out", str(path), "--stop")):
         assert "expected either --out FILE.mcap, or --stop" in run("record", "office", *words, *at).stderr
