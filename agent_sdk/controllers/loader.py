@@ -11,6 +11,7 @@ from types import ModuleType
 from zenostat.agent_sdk.controllers.base import Controller, ControllerProtocol
 from zenostat.agent_sdk.controllers.controller_file import read_controller_file
 from zenostat.agent_sdk.controllers.parameters import check_parameters, with_parameters
+from zenostat.agent_sdk.controllers.training_folder import policy_files
 from zenostat.bridge.runtime.source_loader import importable, load_file
 from zenostat.bridge.runtime.user_code import describe_user_error
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
@@ -45,7 +46,7 @@ def load_controller(text: str) -> Callable[..., ControllerProtocol]:
         from zenostat.agent_sdk.controllers.network_policy import load_network
 
         return load_network(text).controller
-    if text.casefold().endswith(".zip") or (":" not in text and Path(text).expanduser().is_dir()):
+    if _is_policy(text):
         from zenostat.agent_sdk.controllers.policy_loader import load_policy  # torch takes seconds to import
 
         return load_policy(text)
@@ -59,6 +60,34 @@ def load_controller(text: str) -> Callable[..., ControllerProtocol]:
             f"package.module:MyController"
         )
     return _controller_class(_load_module(source), name, source)
+
+
+def controller_files(text: str) -> list[Path]:
+    """Return the files that determine the commands of a controller: none of a bundled one, or of one in a module.
+
+    Args:
+        text: as for `load_controller`, but without `@FILE.yaml`. Of a class it is the file that is named, without what
+            that imports.
+
+    Raises:
+        InvalidConfig: the folder of a training has no model yet.
+    """
+    if text in CONTROLLERS:
+        return []
+    if text.casefold().endswith((".yaml", ".yml", ".npz")):
+        return [Path(text).expanduser()]
+    if _is_policy(text):
+        return policy_files(Path(text.partition(":")[2] or text).expanduser())
+    source = text.rpartition(":")[0]
+    return [Path(source).expanduser()] if _is_file(source) else []
+
+
+def _is_policy(text: str) -> bool:
+    return text.casefold().endswith(".zip") or (":" not in text and Path(text).expanduser().is_dir())
+
+
+def _is_file(source: str) -> bool:
+    return source.endswith(".py") or "/" in source
 
 
 def _load_file_of_parameters(text: str) -> Callable[..., ControllerProtocol]:
@@ -80,7 +109,7 @@ def _load_file_of_parameters(text: str) -> Callable[..., ControllerProtocol]:
 
 def _load_module(source: str) -> ModuleType:
     path = Path(source).expanduser()
-    is_file = path.suffix == ".py" or "/" in source
+    is_file = _is_file(source)
     if is_file:
         check_user_file(path, UnknownName, "a Python file")
     folder = path.absolute().parent if is_file else Path.cwd()

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from zenostat.agent_sdk.controllers.base import BaselineController
-from zenostat.agent_sdk.controllers.training_folder import policy_files
+from zenostat.agent_sdk.controllers.loader import controller_files
 from zenostat.bridge.recording.file import file_digest
 from zenostat.lab.benchmark.definition import (
     BASELINE,
@@ -159,14 +159,9 @@ def _controller_digest(name: str) -> str:
     controller, at, parameters = name.rpartition("@")
     if at and parameters.casefold().endswith((".yaml", ".yml")):
         return digest_of([_controller_digest(controller), file_digest(Path(parameters).expanduser())])
-    algorithm_or_file, _, rest = name.rpartition(":")
-    for candidate in (name, rest, algorithm_or_file):
-        path = Path(candidate).expanduser()
-        if candidate and (path.is_dir() or path.is_file()):
-            files = policy_files(path) if path.is_dir() or path.suffix.casefold() == ".zip" else [path]
-            digests = {file.name: file_digest(file) for file in files}
-            return digest_of(digests) if len(files) > 1 else digests[files[0].name]
-    return ""
+    files = controller_files(name)
+    digests = {file.name: file_digest(file) for file in files}
+    return digest_of(digests) if len(files) > 1 else "".join(digests.values())
 
 
 def _open(path: Path, set_name: str, hashes: dict[str, str], files: dict[str, str]) -> Results:

@@ -347,6 +347,22 @@ def test_benchmark_files__hash_of_a_controller_has_its_code_and_its_parameters(t
     assert [run.check_controllers(names)[name] != changed[name] for name in names] == [True, False, True]
 
 
+@pytest.mark.parametrize("is_folder", [False, True])
+def test_benchmark_files__hash_of_a_controller_is_not_that_of_a_file_named_as_its_class(
+    is_folder: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, notes = Path("mine.py"), Path("Mine")
+    code.write_text("from zenostat.controllers import RuleBasedController as Mine\n")
+    names = ["mine.py:Mine", "mine:Mine"]
+    if is_folder:
+        notes.mkdir()
+        Path("mine").mkdir()
+    else:
+        notes.write_text("notes")
+    assert run.check_controllers(names) == {"mine.py:Mine": file_digest(code), "mine:Mine": ""}
+
+
 @pytest.mark.parametrize("changed", ["best.zip", "best.vecnormalize.pkl", "best.wrappers.yaml", "wrappers.yaml"])
 def test_benchmark_files__hash_of_a_training_has_all_that_determines_its_actions(changed: str, tmp_path: Path) -> None:
     model = tmp_path / "best.zip"
