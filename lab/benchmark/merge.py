@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -18,28 +19,33 @@ def merge_results(paths: Sequence[Path]) -> Results:
     Raises:
         InvalidConfig: files contradict each other, such as two rows of an episode that are not equal to the bit.
     """
-    first, *others = [(path, load_results(path)) for path in dict.fromkeys(paths)]
-    merged = first[1]
-    for path, results in others:
-        what = f"{path} and {first[0]}"
-        if results.set != merged.set:
-            raise InvalidConfig(f"{what} have results of the sets {results.set!r} and {merged.set!r}")
-        if changes := changed_versions(results.versions, merged.versions):
-            raise InvalidConfig(f"{what} have rows of different versions: {'; '.join(changes)}")
-        _check_equal(merged.hashes, results.hashes, f"{what} have rows of different files")
-        _check_equal(merged.controllers, results.controllers, f"{what} have rows of different versions of")
-        for name in merged.trainings.keys() & results.trainings:
-            if not same_controller(merged.trainings[name], results.trainings[name]):
-                raise InvalidConfig(f"{what} have different trainings {name}")
-        for key in merged.rows.keys() & results.rows:
-            if not merged.rows[key].same(results.rows[key]):
-                raise InvalidConfig(f"{what} have different rows of {episode_of(results.rows[key])}")
+    parts = [(path, load_results(path)) for path in dict.fromkeys(paths)]
+    for (path, results), (other_path, others) in combinations(parts, 2):
+        _check_agreement(results, others, path, other_path)
+    merged = parts[0][1]
+    for _, results in parts[1:]:
         merged.versions = results.versions | merged.versions
         merged.hashes |= results.hashes
         merged.controllers |= results.controllers
         merged.trainings = results.trainings | merged.trainings
         merged.rows = results.rows | merged.rows
     return merged
+
+
+def _check_agreement(results: Results, others: Results, path: Path, other_path: Path) -> None:
+    what = f"{other_path} and {path}"
+    if others.set != results.set:
+        raise InvalidConfig(f"{what} have results of the sets {others.set!r} and {results.set!r}")
+    if changes := changed_versions(others.versions, results.versions):
+        raise InvalidConfig(f"{what} have rows of different versions: {'; '.join(changes)}")
+    _check_equal(results.hashes, others.hashes, f"{what} have rows of different files")
+    _check_equal(results.controllers, others.controllers, f"{what} have rows of different versions of")
+    for name in results.trainings.keys() & others.trainings:
+        if not same_controller(results.trainings[name], others.trainings[name]):
+            raise InvalidConfig(f"{what} have different trainings {name}")
+    for key in results.rows.keys() & others.rows:
+        if not results.rows[key].same(others.rows[key]):
+            raise InvalidConfig(f"{what} have different rows of {episode_of(others.rows[key])}")
 
 
 def _check_equal(known: Mapping[str, Any], now: Mapping[str, Any], text: str) -> None:

@@ -161,6 +161,15 @@ def test_benchmark_files__contradicting_parts_are_refused(rows: list[Row], compl
             merge_results([complete, other])
 
 
+def test_benchmark_files__contradiction_names_the_parts_that_have_it(rows: list[Row], tmp_path: Path) -> None:
+    rules = [one for one in rows if one.controller == "rbc"]
+    changed = [dataclasses.replace(one, linear=-6.0) for one in rules]
+    parts = {"a": rows[:1], "b": rules, "c": changed}
+    paths = [written(tmp_path / f"{name}.json", of) for name, of in parts.items()]
+    with pytest.raises(InvalidConfig, match=r"/c\.json and \S*/b\.json have different rows of rbc"):
+        merge_results(paths)
+
+
 def test_benchmark_files__shown_controllers_can_be_chosen(complete: Path) -> None:
     shown = CliRunner().invoke(app, ["benchmark", "--show", str(complete), "--controllers", "rbc"])
     assert "rbc" in shown.output
