@@ -370,7 +370,7 @@ class Subscriptions:
         def on_message(message: zenoh.Sample) -> None:
             size, key = len(message.payload), str(message.key_expr)
             sender, name = map(keys.shortened, topic.names_in(key))
-            if not waiting.admit(size) and not waiting.give_way(sender, size, key):
+            if not waiting.admit(size) and not waiting.give_way(size, key):
                 return
             payload, encoding, via = (
                 message.payload.to_bytes(),

@@ -11,8 +11,8 @@ from zenostat.topics import keys
 from zenostat.topics.plurals import counted
 
 MAX_PENDING = 256
-"""Messages or requests of a topic that may wait. A further message replaces the oldest with its key, and is dropped if
-there is none; a further request is rejected."""
+"""Messages or requests of a topic that may wait. A further message replaces the oldest with the key of which most wait,
+and is dropped if each has a key of its own; a further request is rejected."""
 
 LARGE_BYTES = 1 << 16
 """Size from which a message or request is large."""
@@ -20,11 +20,16 @@ LARGE_BYTES = 1 << 16
 MAX_LARGE = 8
 """Large messages and requests of all topics that may wait: 256 of each topic would fill the memory."""
 
+MAX_NAMES = 5
+"""Names in the report of messages dropped; it counts those of further ones as `OTHERS`."""
+
+OTHERS = "…"
+
 Task = Callable[[], None]
 
 
 class _Entry(NamedTuple):
-    """A task that waits; a later message may replace one with the same key."""
+    """A task that waits; a message that arrives may replace it."""
 
     task: Task
     key: str
@@ -48,7 +53,7 @@ class WaitingQueues:
         self.lock = threading.Lock()
         self.large = threading.BoundedSemaphore(MAX_LARGE)
         self._queues: list[WaitingQueue] = []
-        self._dropped: Counter[tuple[keys.Topic, str]] = Counter()
+        self._dropped: dict[tuple[keys.Topic, str], Counter[str]] = {}
 
     def add(self, topic: keys.Topic) -> WaitingQueue:
         """Return a new queue for a topic."""
@@ -66,7 +71,7 @@ class WaitingQueues:
         for queue in self._queues:
             queue.clear()
 
-    def count_dropped(self, topic: keys.Topic, sender: str) -> bool:
+    def count_dropped(self, topic: keys.Topic, sender: str, name: str) -> bool:
         """Count a dropped message under the lock; return whether `report_dropped` is to be posted.
 
         It counts for up to 256 senders at a time, since strangers may have any number of names.
@@ -74,16 +79,17 @@ class WaitingQueues:
         is_new = (topic, sender) not in self._dropped
         if is_new and len(self._dropped) == MAX_PENDING:
             return False
-        self._dropped[topic, sender] += 1
+        names = self._dropped.setdefault((topic, sender), Counter())
+        names[name if name in names or len(names) < MAX_NAMES else OTHERS] += 1
         return is_new
 
     def report_dropped(self, topic: keys.Topic, sender: str) -> None:
-        """Report how many messages of a sender were dropped; for the server's thread."""
+        """Report the dropped messages of a sender; for the server's thread."""
         with self.lock:
-            count = self._dropped.pop((topic, sender))
+            names = self._dropped.pop((topic, sender))
         self._on_dropped(
-            f"{topic.key}: {counted(count, 'message')} dropped, older ones before newer ones of the same key, since "
-            f"{MAX_PENDING} were waiting",
+            f"{topic.key}: {counted(names.total(), 'message')} dropped ({', '.join(names)}), older ones before newer "
+            f"ones of the same key, since {MAX_PENDING} were waiting",
             sender,
         )
 
@@ -120,22 +126,29 @@ class WaitingQueue:
         if not has_turn:
             self._queues.post(self._take_turn)
 
-    def give_way(self, sender: str, size: int, key: str) -> bool:
-        """Drop a message: the oldest that waits with the key of a new one, or the new one itself, if that is large.
+    def give_way(self, size: int, key: str) -> bool:
+        """Drop a message, so that a flood of one key displaces only its own.
+
+        It is the oldest with the key of which most wait, the new one included; or the new one itself, if that is large
+        or each has a key of its own.
 
         Returns:
             Whether the new one may wait.
         """
         with self._queues.lock:
-            older = (entry for entry in self._entries if entry.key == key and size < LARGE_BYTES)
-            oldest = next(older, None)
-            if oldest is not None:
+            counts = Counter(entry.key for entry in self._entries)
+            counts[key] += 1
+            ((crowded, count),) = counts.most_common(1)
+            may_wait = count > 1 and size < LARGE_BYTES
+            if may_wait:
+                oldest = next(entry for entry in self._entries if entry.key == crowded)
                 self._entries.remove(oldest)
                 self._release(oldest)
-            is_first = self._queues.count_dropped(self._topic, sender)
+            sender, name = map(keys.shortened, self._topic.names_in(crowded if may_wait else key))
+            is_first = self._queues.count_dropped(self._topic, sender, name)
         if is_first:
             self._queues.post(lambda: self._queues.report_dropped(self._topic, sender))
-        return oldest is not None
+        return may_wait
 
     def run_all(self) -> None:
         """Run all tasks that wait, before their turns."""

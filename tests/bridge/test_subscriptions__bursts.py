@@ -47,20 +47,21 @@ def test_subscriptions__burst_leaves_the_newest_message_of_each_point(
     assert [int(payload) for _, payload in handled[1:]] == [*range(FURTHER + 1, MAX_PENDING + FURTHER)]
     ((text, sender),) = reports
     assert text.endswith(
-        f"{FURTHER + 1} messages dropped, older ones before newer ones of the same key, since 256 were waiting"
+        f"{FURTHER + 1} messages dropped (valve), older ones before newer ones of the same key, since 256 were waiting"
     )
     assert sender == "panel"
 
 
 @pytest.mark.process
-def test_subscriptions__message_whose_key_has_none_waiting_is_dropped(
+def test_subscriptions__only_message_of_a_key_stays_in_a_flood_of_another(
     subscriptions: tuple[Subscriptions, zenoh.Session],
 ) -> None:
     own, client = subscriptions
-    handled, reports = list[str](), list[str]()
-    own.listen(keys.ACTUATOR, lambda _sender, name, _payload, _encoding: handled.append(name))
-    own.on_dropped = lambda text, _sender: reports.append(text)
-    valve, pump = (keys.ACTUATOR.at("office", name=name, sender="panel") for name in ("valve", "pump"))
+    handled, reports = list[str](), list[tuple[str, str]]()
+    own.listen(keys.ACTUATOR, lambda sender, name, _payload, _encoding: handled.append(f"{sender}/{name}"))
+    own.on_dropped = lambda text, sender: reports.append((text, sender))
+    valve = keys.ACTUATOR.at("office", name="valve", sender="flooder")
+    pump = keys.ACTUATOR.at("office", name="pump", sender="panel")
     publisher = client.declare_publisher(valve, congestion_control=zenoh.CongestionControl.BLOCK)
     until(lambda: publisher.matching_status.matching, "the client knows of the subscriber")
     for _ in range(MAX_PENDING):
@@ -68,5 +69,7 @@ def test_subscriptions__message_whose_key_has_none_waiting_is_dropped(
     client.put(pump, b"x", congestion_control=zenoh.CongestionControl.BLOCK)
     until(lambda: own.rate_limited == 1, "all have arrived")
     until(lambda: own.run_pending() or reports, "all that wait are handled")
-    assert set(handled) == {"valve"}
-    assert "1 message dropped" in reports[0]
+    assert handled == [*["flooder/valve"] * (MAX_PENDING - 1), "panel/pump"]
+    ((text, sender),) = reports
+    assert "1 message dropped (valve)" in text
+    assert sender == "flooder"
