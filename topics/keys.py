@@ -287,6 +287,11 @@ def node_of(key: str) -> str:
     return replace_controls("".join(key.split("/")[NODE_CHUNK : NODE_CHUNK + 1]))
 
 
+def below_node(key: str) -> str:
+    """Return the part of a full key after the node's name, as `Topic.below`; empty if it is shorter."""
+    return "/".join(key.split("/")[NODE_CHUNK + 1 :])
+
+
 def last_chunk(key: str) -> str:
     """Return the last chunk of a full key, the name of a point, a controller or an instance: no control characters."""
     return replace_controls(key.rpartition("/")[2])

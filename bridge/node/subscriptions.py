@@ -65,10 +65,13 @@ class Request:
 
     Attributes:
         sender, name: those in its key, shortened; empty if the topic has none.
+        has_wildcard: whether its key has one elsewhere than in place of the node's name.
         payload, encoding: its message.
     """
 
-    __slots__ = ("_key", "_query", "_subscriptions", "_topic", "_via", "encoding", "name", "payload", "sender")
+    __slots__ = (
+        "_key", "_query", "_subscriptions", "_topic", "_via", "encoding", "has_wildcard", "name", "payload", "sender",
+    )  # fmt: skip
 
     def __init__(self, query: zenoh.Query, topic: keys.Topic, subscriptions: Subscriptions) -> None:
         self._query: zenoh.Query | None = query
@@ -77,6 +80,7 @@ class Request:
         self._topic, self._subscriptions = topic, subscriptions
         sender, name = topic.chunks_in(key)
         self._key = topic.at(subscriptions.node, name=name, sender=sender)  # a reply has to match the query
+        self.has_wildcard = "*" in sender + name or keys.below_node(key) != topic.below(name=name, sender=sender)
         self.payload, self.encoding = _content(query)
         self._via = _client_protocol(query.attachment)
 
@@ -126,7 +130,9 @@ def _reject() -> Message:
 
 
 def _refuse_wildcard() -> Message:
-    raise BadMessage("the key of the query has a wildcard in place of a name, and this request has one sender")
+    raise BadMessage(
+        "the key of the query has a wildcard in place of a name or of the request; only the node's name may be one here"
+    )
 
 
 def _refuse_large(payload: bytes, _: str) -> bytes:
@@ -505,7 +511,7 @@ class Subscriptions:
         def on_query(query: zenoh.Query) -> None:
             request = Request(query, topic, self)
             size = len(request.payload)
-            if topic.has_sender and "*" in request.sender + request.name:  # as of a program that reads all keys
+            if topic.has_sender and request.has_wildcard:  # as of a program that reads all keys
                 request.answer(_refuse_wildcard, is_recorded=False)
                 return
             if not waiting.admit(size):

@@ -208,6 +208,24 @@ def test_bus__query_of_all_keys_is_no_message_of_a_sender(episode_bus: zenostat.
         assert codec.decode(Event, sent.payload.to_bytes()).source == "panel"
 
 
+@pytest.mark.parametrize("key", ["rpc/*/panel", "*/*/panel", "**/panel", "rpc/**/panel", "rpc/pau$*/panel"])
+def test_bus__wildcard_in_place_of_a_request_carries_none_out(episode_bus: zenostat.Bus, key: str) -> None:
+    bus = episode_bus
+    before = bus.status("office")
+    replies = [*bus.session.get(f"{keys.root('office')}/{key}", target=zenoh.QueryTarget.ALL, timeout=60)]
+    texts = [codec.decode(ErrorReply, reply.ok.payload.to_bytes()).message for reply in replies if reply.ok]
+    assert texts
+    assert all("wildcard in place of a name or of the request" in text for text in texts), texts
+    after = bus.status("office")
+    assert (after.episode, after.paused, after.snapshots) == (before.episode, False, before.snapshots)
+
+
+def test_bus__wildcard_in_place_of_the_node_is_permitted(episode_bus: zenostat.Bus) -> None:
+    bus = episode_bus
+    (reply,) = bus.session.get(keys.WRITE_REQUEST.at("*", sender="panel", name=POINT), timeout=60, payload=b"\x80")
+    assert "wildcard" not in codec.decode(ErrorReply, reply.ok.payload.to_bytes()).message
+
+
 BIG = msgpack.packb({"memory": b"\0" * (codec.MAX_BYTES + 1)})
 
 
