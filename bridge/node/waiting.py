@@ -108,6 +108,7 @@ class WaitingQueue:
     def __init__(self, topic: keys.Topic, queues: WaitingQueues) -> None:
         self._topic, self._queues = topic, queues
         self._entries: deque[_Entry] = deque()
+        self._counts: Counter[str] = Counter()  # of the entries, by key
         self._turns = 0
 
     def admit(self, size: int) -> bool:
@@ -121,6 +122,7 @@ class WaitingQueue:
         """Let a task wait that has been admitted, or for which another one has given way."""
         with self._queues.lock:
             self._entries.append(_Entry(task, key, size >= LARGE_BYTES))
+            self._counts[key] += 1
             has_turn = self._turns >= len(self._entries)
             self._turns += not has_turn
         if not has_turn:
@@ -136,15 +138,14 @@ class WaitingQueue:
             Whether the new one may wait.
         """
         with self._queues.lock:
-            counts = Counter(entry.key for entry in self._entries)
-            counts[key] += 1
-            ((crowded, count),) = counts.most_common(1)
-            may_wait = count > 1 and size < LARGE_BYTES
+            is_crowded = key in self._counts or len(self._counts) < len(self._entries)
+            may_wait, dropped = is_crowded and size < LARGE_BYTES, key
             if may_wait:
-                oldest = next(entry for entry in self._entries if entry.key == crowded)
+                dropped = max(self._counts, key=lambda each: self._counts[each] + (each == key))
+                oldest = next(entry for entry in self._entries if entry.key == dropped)
                 self._entries.remove(oldest)
                 self._release(oldest)
-            sender, name = map(keys.shortened, self._topic.names_in(crowded if may_wait else key))
+            sender, name = map(keys.shortened, self._topic.names_in(dropped))
             is_first = self._queues.count_dropped(self._topic, sender, name)
         if is_first:
             self._queues.post(lambda: self._queues.report_dropped(self._topic, sender))
@@ -157,7 +158,9 @@ class WaitingQueue:
 
     def clear(self) -> None:
         """Forget all tasks."""
-        self._entries.clear()
+        with self._queues.lock:
+            self._entries.clear()
+            self._counts.clear()
 
     def _take_turn(self) -> None:
         with self._queues.lock:
@@ -167,10 +170,16 @@ class WaitingQueue:
     def _run_next(self) -> None:
         with self._queues.lock:
             entry = self._entries.popleft() if self._entries else None
+            if entry is not None:
+                self._release(entry)
         if entry is not None:
-            self._release(entry)
             entry.task()
 
     def _release(self, entry: _Entry) -> None:
+        """Count an entry no more; under the lock."""
+        if self._counts[entry.key] == 1:
+            del self._counts[entry.key]
+        else:
+            self._counts[entry.key] -= 1
         if entry.is_large:
             self._queues.large.release()
