@@ -39,7 +39,7 @@ def _check_agreement(results: Results, others: Results, path: Path, other_path: 
     if changes := changed_versions(others.versions, results.versions):
         raise InvalidConfig(f"{what} have rows of different versions: {'; '.join(changes)}")
     _check_equal(results.hashes, others.hashes, f"{what} have rows of different files")
-    _check_equal(results.controllers, others.controllers, f"{what} have rows of different versions of")
+    _check_equal(results.identities(), others.identities(), f"{what} have rows of different versions of")
     for name in results.trainings.keys() & others.trainings:
         if not same_controller(results.trainings[name], others.trainings[name]):
             raise InvalidConfig(f"{what} have different trainings {name}")

@@ -63,6 +63,10 @@ class Results:
         """Return the controllers in the order in which they were added."""
         return list(dict.fromkeys(row.controller for row in self.rows.values()))
 
+    def identities(self) -> dict[str, str]:
+        """Return the hash of each controller by name, "" of one that has rows but no hash."""
+        return {**dict.fromkeys(self.names(), ""), **self.controllers}
+
     def missing(self, names: Iterable[str]) -> list[Episode]:
         """Return the episodes of controllers that the set has and the rows do not."""
         return [episode for episode in SETS[self.set].episodes(names) if episode.key not in self.rows]

@@ -178,12 +178,13 @@ def _open(path: Path, set_name: str, hashes: dict[str, str], files: dict[str, st
     if changes := changed_versions(results.versions):
         raise InvalidConfig(f"{path} has rows of other versions ({'; '.join(changes)}): choose another --out")
     for known, now, what in (
-        (results.hashes, hashes, "another file"), (results.controllers, files, "another version of the controller"),
+        (results.hashes, hashes, "another file"), (results.identities(), files, "another version of the controller"),
     ):  # fmt: skip
         differing = [name for name in known.keys() & now if known[name] != now[name]]
         if differing:
             raise InvalidConfig(f"{path} has rows of {what} {differing[0]}: choose another --out")
-        known.update(now)
+    results.hashes.update(hashes)
+    results.controllers.update(files)
     if stale := stale_trainings(results):
         raise InvalidConfig(
             f"{path} has rows of {len(stale)} trainings or tunings of another definition, such as {stale[0]}: choose "

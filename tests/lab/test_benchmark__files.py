@@ -153,7 +153,8 @@ def test_benchmark_files__contradicting_parts_are_refused(rows: list[Row], compl
         ([dataclasses.replace(first, linear=-6.0)], {}, f"different rows of baseline/{OFFICE}/summer"),
         (rows, {"versions": {"numpy": "1.0"}}, "different versions"),
         (rows, {"hashes": {OFFICE: "cd"}}, f"different files {OFFICE}"),
-        (rows, {"controllers": {"rbc": "ff"}}, "different versions of rbc"),
+        (rows, {"controllers": check_controllers(["baseline"]) | {"rbc": "ff"}}, "different versions of rbc"),
+        (rows, {"controllers": check_controllers(["baseline"])}, "different versions of rbc"),
         (rows, {"trainings": other_weights}, "different trainings ppo/ref-small-office/summer/0"),
     ):
         written(other, changed, **fields)  # type: ignore[arg-type]
