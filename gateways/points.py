@@ -10,6 +10,11 @@ from zenostat.topics.keys import is_own
 from zenostat.topics.messages import Actuator, Aggregation, Manifest, Meter, Sensor
 
 _RATES = {"J": "W", "L": "L/s", "kg": "kg/s", "m3": "m3/s"}
+_NOTES = {
+    Aggregation.INSTANT: "",
+    Aggregation.MEAN: "mean of the timestep",
+    Aggregation.SUM: "total of the timestep",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,12 +26,14 @@ class Reading:
         index: its index among the values of a sample.
         unit: unit of its readings: the manifest's, but a rate for an amount, such as W for J.
         divisor: a value of the sample divided by its reading: 1, or step_s for an amount.
+        aggregation: what the readings of several timesteps are together: the last one, their mean, or their sum.
     """
 
     point: Sensor | Meter
     index: int
     unit: str
     divisor: float
+    aggregation: Aggregation
 
     @property
     def name(self) -> str:
@@ -34,19 +41,9 @@ class Reading:
         return self.point.name
 
     @property
-    def is_total(self) -> bool:
-        """Whether its readings are totals of timesteps: of an amount without a rate."""
-        return _is_amount(self.point) and self.unit == self.point.unit
-
-    @property
-    def is_mean(self) -> bool:
-        """Whether its readings are mean rates of timesteps."""
-        return _is_amount(self.point) and not self.is_total
-
-    @property
     def note(self) -> str:
-        """Relation of an amount's reading to its timestep; empty for other points."""
-        return "total of the timestep" if self.is_total else "mean of the timestep" if self.is_mean else ""
+        """Relation of its readings to their timestep; empty for a state at the end."""
+        return _NOTES[self.aggregation]
 
     def of(self, sample: SampleView) -> float | None:
         """Return the reading of a sample; None where the node does not report it."""
@@ -64,13 +61,10 @@ def readings(manifest: Manifest) -> list[Reading]:
 
 
 def _reading(point: Sensor | Meter, index: int, step_s: float) -> Reading:
-    if _is_amount(point) and (rate := _RATES.get(point.unit)):
-        return Reading(point, index, rate, step_s)
-    return Reading(point, index, point.unit, 1.0)
-
-
-def _is_amount(point: Sensor | Meter) -> bool:
-    return isinstance(point, Meter) or point.aggregation is Aggregation.SUM
+    aggregation = Aggregation.SUM if isinstance(point, Meter) else point.aggregation
+    if aggregation is Aggregation.SUM and (rate := _RATES.get(point.unit)):
+        return Reading(point, index, rate, step_s, Aggregation.MEAN)
+    return Reading(point, index, point.unit, 1.0, aggregation)
 
 
 def effective_value(sample: SampleView, actuator: int) -> float | None:

@@ -26,6 +26,7 @@ from zenostat.gateways.notices import Notices
 from zenostat.topics.addresses import join_address
 from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import AddressInUse, RequestRejected, ZenostatError
+from zenostat.topics.messages import Aggregation
 
 MAX_CONNECTIONS = 32
 _MAX_WAITING = 4 * MAX_CONNECTIONS
@@ -231,7 +232,7 @@ class _Connection(BaseRequestHandler):
         return self._sample(sample, self._outputs(sample))
 
     def _step(self, content: bytes) -> bytes:
-        """Simulate timesteps with the same commands; rates of amounts are means of all of them, other amounts sums."""
+        """Simulate timesteps with the same commands; outputs are last values, means or sums of all of them."""
         link = self._linked
         actuators = self._interface.actuators
         if len(content) != 4 + 8 * len(actuators):
@@ -242,22 +243,20 @@ class _Connection(BaseRequestHandler):
         values = np.frombuffer(content, "<f8", offset=4).tolist()
         commands = zip(actuators, values, strict=True)
         link.send({actuator.name: None if isnan(value) else value for actuator, value in commands})
-        sample = link.receive()
-        outputs = [self._outputs(sample)]
-        for _ in range(count - 1):
-            if sample.truncated:
+        samples = [link.receive()]
+        while len(samples) < count:
+            if samples[-1].truncated:
                 raise RequestRejected("the episode has ended")
             link.send()
-            sample = link.receive()
-            outputs.append(self._outputs(sample))
-        self.gateway.counts.timesteps += len(outputs)
-        rows = np.array(outputs)
+            samples.append(link.receive())
+        self.gateway.counts.timesteps += count
+        rows = np.array([self._outputs(sample) for sample in samples])
+        outputs = rows[-1]
         for index, output in enumerate(self._interface.outputs):
-            if output.is_total:
-                rows[-1, index] = rows[:, index].sum()
-            elif output.is_mean:
-                rows[-1, index] = rows[:, index].mean()
-        return self._sample(sample, rows[-1])
+            if output.aggregation is not Aggregation.INSTANT:
+                values = rows[:, index]
+                outputs[index] = values.sum() if output.aggregation is Aggregation.SUM else values.mean()
+        return self._sample(samples[-1], outputs)
 
     def _save(self, _: bytes) -> bytes:
         number = max(self._snapshots, default=0) + 1

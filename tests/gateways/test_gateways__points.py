@@ -14,7 +14,8 @@ from zenostat.topics.messages import Aggregation, Manifest, Meter, Mode, Policy,
         (Meter(name="x", unit="kWh"), "kWh", 1.0, "total of the timestep"),  # no unit of its rate is on the bus
         (Sensor(name="x", unit="J", aggregation=Aggregation.SUM), "W", 600.0, "mean of the timestep"),
         (Sensor(name="x", unit="J", aggregation=Aggregation.INSTANT), "J", 1.0, ""),  # a stored energy has no rate
-        (Sensor(name="x", unit="degC", aggregation=Aggregation.MEAN), "degC", 1.0, ""),
+        (Sensor(name="x", unit="degC", aggregation=Aggregation.MEAN), "degC", 1.0, "mean of the timestep"),
+        (Sensor(name="x", unit="kWh", aggregation=Aggregation.SUM), "kWh", 1.0, "total of the timestep"),
     ],
 )
 def test_gateways__amounts_of_a_timestep_are_read_as_mean_rates(point, unit, divisor, note):

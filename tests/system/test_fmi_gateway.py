@@ -21,6 +21,7 @@ from support.run_cli import run_in_process
 import zenostat
 from zenostat import Bus
 from zenostat.topics.errors import ForkFailed
+from zenostat.topics.messages import Aggregation, Meter, Sensor
 
 fmpy = pytest.importorskip("fmpy")
 validation = pytest.importorskip("fmpy.validation")
@@ -133,20 +134,23 @@ def test_fmi_gateway__values_are_those_of_a_controller_on_the_bus(shared_node: N
     assert importer.log == []
 
 
-def test_fmi_gateway__a_step_of_several_timesteps_has_means_of_rates_and_the_latest_of_other_values(
+def test_fmi_gateway__a_step_of_several_timesteps_has_means_of_rates_and_the_latest_of_states(
     shared_node: NodeProgram, importer: Importer
 ) -> None:
     with zenostat.connect(shared_node.endpoint, affinity="off") as bus:
-        rows = directly(bus, 7, lambda _: {COOLING: 25.0})
+        rows, points = directly(bus, 7, lambda _: {COOLING: 25.0}), bus.manifest("office").points
     importer.initialize(seed=7)
     importer.write(COOLING, 25.0)
     importer.step(0, 40)
     values = importer.step(40, 4)
-    sensors = [i for i, v in enumerate(importer.description.modelVariables[:21]) if "mean of" not in str(v.description)]
-    amounts = sorted(set(range(21)) - set(sensors))
-    assert len(amounts) == 3  # the meters
-    np.testing.assert_array_equal(values[sensors], rows[44][sensors])
-    np.testing.assert_allclose(values[amounts], rows[41:45, amounts].mean(axis=0), rtol=1e-14)
+    means = [i for i, point in enumerate(points) if isinstance(point, Meter) or point.aggregation is Aggregation.MEAN]
+    states = sorted(set(range(21)) - set(means))
+    assert {type(points[i]) for i in means} == {Sensor, Meter}
+    assert means == [
+        i for i, v in enumerate(importer.description.modelVariables[:21]) if "mean of" in str(v.description)
+    ]
+    np.testing.assert_array_equal(values[states], rows[44][states])
+    np.testing.assert_allclose(values[means], rows[41:45, means].mean(axis=0), rtol=1e-14)
 
 
 def test_fmi_gateway__states_return_to_the_bit(importer: Importer) -> None:
