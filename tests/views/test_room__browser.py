@@ -3,7 +3,9 @@
 import json
 import signal
 import subprocess
+import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -417,6 +419,88 @@ def test_room__press_on_a_card_that_changes_is_a_click(ada: Visitor, room: Any, 
     page.mouse.up()
     page.locator(".bar", has_text=f"{bus.manifest('office').building} · ").wait_for()
     assert "node=office" in page.url
+
+
+@contextmanager
+def hanging(room: Any) -> Iterator[None]:
+    """The control room does not run: what is sent to it waits in buffers of the system."""
+    hangs, end = threading.Event(), threading.Event()
+
+    def hang() -> None:
+        hangs.set()
+        end.wait()
+
+    room.room.updates._loop.call_soon_threadsafe(hang)
+    hangs.wait()
+    try:
+        yield
+    finally:
+        end.set()
+
+
+@pytest.fixture
+def override(browser: Any, room: Any) -> Iterator[Any]:
+    """A page of Eve's with its own clock, on which the override of a setpoint is open."""
+    visitor = Visitor(browser)
+    visitor.page.clock.install()
+    visitor.open(room.room.link("eve")).locator(".card").wait_for()
+    page = visitor.open(f"{room.url}/?node=office&point={SETPOINT}")
+    page.locator("#override").fill("26")
+    assert page.get_by_text("no connection").first.is_hidden()
+    yield page
+    visitor.close()
+
+
+def writes(room: Any) -> list[dict[str, Any]]:
+    """Entries of Eve's overrides in the audit log."""
+    entries = room.room.audit.entries()
+    return [each for each in entries if (each["operator"], each["operation"]) == ("eve", "write")]
+
+
+def test_room__connection_that_is_silent_is_shown_and_nothing_is_sent(
+    override: Any, room: Any, bus: zenostat.Bus
+) -> None:
+    page, before = override, len(writes(room))
+    button = page.get_by_role("button", name="Override", exact=True)
+    chip, note = (
+        page.locator("header").get_by_text("no connection"),
+        page.locator(".drawer").get_by_text("no connection"),
+    )
+    with hanging(room):
+        page.clock.fast_forward(20_001)
+        chip.wait_for()
+        note.wait_for()  # the drawer covers the header
+        opacity = "element => getComputedStyle(element).opacity"
+        for selector in ("main", ".drawer > .override"):
+            assert page.locator(selector).evaluate(opacity) == "0.5"
+        button.click()
+        page.locator(".toast", has_text="no connection to the control room: nothing was sent").wait_for()
+    chip.wait_for(state="hidden")
+    assert note.is_hidden()
+    button.click()
+    page.locator(".toast", has_text=f"{SETPOINT} = 26").wait_for()
+    assert len(writes(room)) == before + 1
+    bus.write("office", SETPOINT, None)
+
+
+def test_room__change_that_arrives_late_is_refused(
+    override: Any, room: Any, bus: zenostat.Bus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("zenostat.views.room.access.MAX_PAGE_AGE_S", -1.0)  # each change is late
+    page, before = override, len(writes(room))
+    button = page.get_by_role("button", name="Override", exact=True)
+    with hanging(room):
+        with page.expect_request("**/write"):
+            button.click()
+        page.clock.fast_forward(20_001)
+        page.locator(".toast", has_text="what was sent may be carried out all the same").wait_for()
+    page.locator("header").get_by_text("no connection").wait_for(state="hidden")
+    button.click()
+    page.locator(".toast", has_text="nothing was done: the page had received nothing for").wait_for()
+    refused = writes(room)[before:]
+    assert refused
+    assert all(not each["accepted"] and "nothing was done" in each["outcome"] for each in refused)
+    assert bus.priorities("office")[SETPOINT][7].value is None
 
 
 def test_room__strangers_requests_are_rejected(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:

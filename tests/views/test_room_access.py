@@ -16,7 +16,7 @@ TOKEN = "t" * 32
 
 @pytest.fixture
 def access(clock: Clock) -> Access:
-    return Access(frozenset({HOST, "localhost:8600"}), "room", api_token=TOKEN, clock=clock)
+    return Access(frozenset({HOST, "localhost:8600"}), "room", api_token=TOKEN, clock=clock, wall_clock=clock)
 
 
 def scope(method: str = "GET", path: str = "/api/session", **headers: str) -> dict[str, Any]:
@@ -153,7 +153,28 @@ def test_access__policy_allows_nothing_unsafe() -> None:
     assert "http" not in POLICY
 
 
-async def guarded(access: Access, *messages: dict[str, Any]) -> tuple[list[bytes], list[int]]:
+@pytest.mark.parametrize(
+    ("age_s", "is_refused"), [(0.0, False), (30.0, False), (31.0, True), (600.0, True), (-31.0, True)]
+)
+async def test_guard__change_of_a_page_that_had_received_nothing_for_long_is_refused(
+    access: Access, clock: Clock, age_s: float, *, is_refused: bool
+) -> None:
+    clock.now_s = 1_000_000.0
+    last = {"last_event_id": f"{clock.now_s - age_s:.3f}"}
+    bodies, statuses = await guarded(access, part(b"{}"), **last)
+    assert (bodies, statuses) == (([], [409]) if is_refused else ([b"{}"], []))
+    reason = access.outdated(scope("POST", "/api/nodes/office/pause", **last))
+    assert (f"received nothing for {age_s:.0f} s" in reason) == is_refused
+    for method, path in (("GET", "/api/nodes/office"), ("POST", "/api/session"), ("DELETE", "/api/session")):
+        assert access.outdated(scope(method, path, **last)) == ""  # nothing of the building is changed
+
+
+@pytest.mark.parametrize("event", ["", "x", "nan", "inf", "1e999"])
+def test_access__change_with_another_event_than_the_servers_is_refused(access: Access, event: str) -> None:
+    assert access.outdated(scope("POST", "/api/nodes/office/pause", last_event_id=event))
+
+
+async def guarded(access: Access, *messages: dict[str, Any], **headers: str) -> tuple[list[bytes], list[int]]:
     """Bodies that the application receives of a permitted request, and the statuses that the client receives."""
     receiving, bodies, statuses = iter(messages), [], []
 
@@ -167,7 +188,7 @@ async def guarded(access: Access, *messages: dict[str, Any]) -> tuple[list[bytes
         bodies.append((await receive_next())["body"])
         assert (await receive_next())["type"] == "http.disconnect"
 
-    request = scope("POST", "/grafana/query", authorization=f"Bearer {TOKEN}")
+    request = scope("POST", "/grafana/query", authorization=f"Bearer {TOKEN}", **headers)
     await Guard(app, access)(request, receive, send)
     return bodies, statuses
 

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from support.builders import actuator, manifest, meter, sensor, view
+from support.clock import Clock
 
 pytest.importorskip("starlette")
 
@@ -270,21 +271,37 @@ def test_simulated_time__utc_stands_for_standard_time() -> None:
     assert simulated_time("9999-12-31T23:59:59-01:00") == "9999-12-31T23:59:59"
 
 
-async def test_updates__slow_page_gets_only_the_latest_of_each_topic() -> None:
-    updates = Updates()
+async def test_updates__slow_page_gets_only_the_latest_of_each_topic(clock: Clock) -> None:
+    updates = Updates(clock)
     updates.publish("node:a", b"0")
     updates.start()
     stream = updates.follow(["node:a", "overview"])
     assert await anext(stream) == b"retry: 1000\n\n"
-    assert await anext(stream) == b"event: node\ndata: 0\n\n"
+    assert await anext(stream) == b"id: 0.000\nevent: node\ndata: 0\n\n"
+    clock.now_s = 1.5
     for count in range(1, 1001):
         updates.publish("node:a", b"%d" % count)
         updates.publish("node:b", b"%d" % count)
     await asyncio.sleep(0)
     updates.publish("overview", b"[]")
-    assert await anext(stream) == b"event: node\ndata: 1000\n\n"
-    assert await anext(stream) == b"event: overview\ndata: []\n\n"
+    assert await anext(stream) == b"id: 1.500\nevent: node\ndata: 1000\n\n"
+    assert await anext(stream) == b"id: 1.500\nevent: overview\ndata: []\n\n"
     assert updates.followers == 1
     updates.close()
     assert [message async for message in stream] == []
     assert updates.followers == 0
+
+
+async def test_updates__page_gets_an_event_even_if_nothing_changes(
+    clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("zenostat.views.room.updates._KEEP_ALIVE_S", 0.0)
+    updates = Updates(clock)
+    updates.start()
+    stream = updates.follow(["overview"])
+    assert await anext(stream) == b"retry: 1000\n\n"
+    assert await anext(stream) == b"id: 0.000\nevent: alive\ndata: {}\n\n"
+    clock.now_s = 5.0
+    assert await anext(stream) == b"id: 5.000\nevent: alive\ndata: {}\n\n"
+    updates.close()
+    assert [message async for message in stream] == []

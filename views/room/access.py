@@ -37,6 +37,9 @@ def check_name_of(text: str) -> str:
     return text
 
 
+MAX_PAGE_AGE_S = 30.0
+"""Largest age of what a page has received last when a change of it arrives."""
+
 MAX_BODY_BYTES = 1 << 20
 """Largest body of a request; a fault plan is the largest of them."""
 
@@ -100,6 +103,7 @@ class Access:
         scheme: of the page, `http` or `https`.
         users: names and roles of the bus; None: whoever has signed in is an operator.
         clock: monotonic time in seconds.
+        wall_clock: time in seconds, as in the ids of `Updates`.
     """
 
     def __init__(
@@ -113,11 +117,12 @@ class Access:
         scheme: str = "http",
         users: BusUsers | None = None,
         clock: Callable[[], float] = time.monotonic,
+        wall_clock: Callable[[], float] = time.time,
     ) -> None:
         self.hosts, self.cookie, self.scheme, self._users = hosts, cookie, scheme, users
         self._program_paths, self._hint = program_paths, hint
         self._api_digest = None if api_token is None else _digest(api_token)
-        self._clock = clock
+        self._clock, self._wall_clock = clock, wall_clock
         self._tokens: dict[str, tuple[str, float]] = {}
         self._sessions: dict[str, Session] = {}
 
@@ -201,6 +206,23 @@ class Access:
             return None
         return self._foreign(headers, method, path) or self._not_permitted(scope, method, path)
 
+    def outdated(self, scope: MutableMapping[str, Any]) -> str:
+        """Return why a change is refused whose page had received nothing for too long; empty if it is not.
+
+        A lost connection keeps what was sent over it, also that of a page that is gone, and delivers it when the
+        connection is back, minutes later. So a page names the latest event that it has received, whose id is a time.
+        """
+        event = Headers(scope=scope).get("last-event-id")
+        if scope["method"] in ("GET", "HEAD") or scope["path"] == "/api/session" or event is None:
+            return ""
+        try:
+            age_s = self._wall_clock() - float(event)
+        except ValueError:
+            return f"the id of an event expected, not {event[:40]!r}"
+        if abs(age_s) <= MAX_PAGE_AGE_S:
+            return ""
+        return f"nothing was done: the page had received nothing for {age_s:.0f} s when this came; look, and try again"
+
     def _foreign(self, headers: Headers, method: str, path: str) -> tuple[int, str] | None:
         """Return status and text for a request that another site's page may have sent; None for one of this page."""
         if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none") and path != "/":
@@ -266,7 +288,8 @@ class Guard:
     Args:
         app: the application.
         access: what it permits.
-        on_denied: receives name, method, path and reason of each request of a user whose role does not permit it.
+        on_denied: receives name, method, path and reason of each request of a user that is rejected, such as one that
+            the user's role does not permit.
     """
 
     def __init__(
@@ -294,16 +317,16 @@ class Guard:
                 headers.setdefault("cache-control", "no-store")
             await send(message)
 
+        body: bytes | None = b""
         rejection = self._access.rejection(scope)
+        if rejection is None:
+            body = await _read(receive)
+            if body is None:
+                return
+            rejection = self._late_rejection(scope, body)
         if rejection is not None:
             self._report_denied(scope, rejection[1])
-            await _reject(*rejection, "AccessDenied")(scope, receive, send_with_headers)
-            return
-        body = await _read(receive)
-        if body is None:
-            return
-        if len(body) > MAX_BODY_BYTES:
-            await _reject(413, "the body is too large", "BadMessage")(scope, receive, send_with_headers)
+            await _reject(*rejection)(scope, receive, send_with_headers)
             return
         received = iter([{"type": "http.request", "body": body, "more_body": False}])
 
@@ -312,6 +335,13 @@ class Guard:
 
         await self._app(scope, receive_next, send_with_headers)
 
+    def _late_rejection(self, scope: MutableMapping[str, Any], body: bytes) -> tuple[int, str] | None:
+        """Return status and text for a request that is rejected once its body is there; None if it is not."""
+        if len(body) > MAX_BODY_BYTES:
+            return 413, "the body is too large"
+        reason = self._access.outdated(scope)
+        return (409, reason) if reason else None
+
     def _report_denied(self, scope: MutableMapping[str, Any], reason: str) -> None:
         """Report a rejected request if it is one of a user."""
         session: Session | None = scope.get("state", {}).get("session")
@@ -319,7 +349,8 @@ class Guard:
             self._on_denied(session.operator, scope["method"], scope["path"], reason)
 
 
-def _reject(status: int, text: str, error: str) -> JSONResponse:
+def _reject(status: int, text: str) -> JSONResponse:
+    error = {409: "RequestRejected", 413: "BadMessage"}.get(status, "AccessDenied")
     return JSONResponse({"error": error, "message": text}, status)
 
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import AsyncGenerator, Callable, Iterable
 from contextlib import suppress
 
-_KEEP_ALIVE_S = 15.0
+_KEEP_ALIVE_S = 5.0
+"""Time after which an event `alive` is sent if nothing else was: a page that receives nothing is not connected."""
+_ALIVE = "alive"
 
 MAX_STREAMS = 200
 """Largest number of pages that follow at a time."""
@@ -17,9 +20,13 @@ class Updates:
 
     A page that is slow misses messages, since a newer one replaces one that is not sent yet: neither memory nor other
     pages depend on it.
+
+    Args:
+        clock: time in seconds, which is the id of each event; see `Access.outdated`.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.time) -> None:
+        self._clock = clock
         self._latest: dict[str, bytes] = {}
         self._streams: set[_Stream] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -63,7 +70,10 @@ class Updates:
             stream.wake.set()
 
     async def follow(self, topics: Iterable[str]) -> AsyncGenerator[bytes, None]:
-        """Yield server-sent events of some topics: first their latest messages, then each change."""
+        """Yield server-sent events of some topics: first their latest messages, then each change.
+
+        There is one at once and then at least every 5 s: `alive` if there is nothing else.
+        """
         stream = _Stream(frozenset(topics))
         for topic in sorted(stream.topics & self._latest.keys()):
             stream.add(topic, self._latest[topic])
@@ -71,17 +81,14 @@ class Updates:
         try:
             yield b"retry: 1000\n\n"
             while not self._is_closed:
-                try:
-                    async with asyncio.timeout(_KEEP_ALIVE_S):
-                        await stream.wake.wait()
-                except TimeoutError:
-                    yield b": alive\n\n"
-                    continue
                 stream.wake.clear()
                 pending, stream.pending = stream.pending, {}
-                for topic, message in pending.items():
+                for topic, message in (pending or {_ALIVE: b"{}"}).items():
                     kind = topic.partition(":")[0]
-                    yield b"event: %s\ndata: %s\n\n" % (kind.encode(), message)
+                    yield b"id: %.3f\nevent: %s\ndata: %s\n\n" % (self._clock(), kind.encode(), message)
+                with suppress(TimeoutError):
+                    async with asyncio.timeout(_KEEP_ALIVE_S):
+                        await stream.wake.wait()
         finally:
             self._streams.discard(stream)
 

@@ -128,7 +128,7 @@ function show() {
   showPages(name, node);
   const title = node ?? PAGES[name]?.[1];
   document.title = title ? `${title} – Control room` : "Control room";
-  stop = follow({ node, page: name }, page.handlers, (isConnected) => { connection.hidden = isConnected; main.classList.toggle("unconnected", !isConnected); });
+  stop = follow({ node, page: name }, page.handlers, (isConnected) => { connection.hidden = isConnected; document.body.classList.toggle("unconnected", !isConnected); });
 }
 
 async function start() {

@@ -41,6 +41,7 @@ export class PointPanel {
       h("div", { class: "row" },
         h("h2", {}, point.label), h("span", { class: "grow" }),
         h("button", { class: "quiet", "aria-label": "Close", onclick: () => change({ point: null }) }, icon("close"))),
+      h("p", { class: "banner problem lost" }, "no connection"),
       h("p", { class: "muted code" }, point.name),
       h("div", { class: "row" }, this.value), this.note, this.canvas,
       point.kind === "actuator" && [mayChange() ? this.form() : refusalNote(), h("h3", {}, "Priority array"), this.array],

@@ -1,6 +1,6 @@
 // The question "what if": setpoints or another controller on a copy of the building, beside the building as it is.
 
-import { copyText, get, nodePath, post, toast } from "./api.js";
+import { changeNode, copyText, get, nodePath, post, toast } from "./api.js";
 import { fill, h, refill, setAttribute, setText } from "./dom.js";
 import { counted, dateTime, num, seconds, shown, words } from "./format.js";
 import { priorityName } from "./point.js";
@@ -156,7 +156,7 @@ export class WhatIfPanel {
     try {
       for (const [point, value] of writes) {
         setText(button, `Applying ${count + 1} of ${writes.length} …`);
-        await post(nodePath(this.node, "write"), { point, value, priority, duration_s: hours * 3600 });
+        await changeNode(this.node, "write", { point, value, priority, duration_s: hours * 3600 });
         count += 1;
       }
     } catch (error) { toast(error.message, true); }
