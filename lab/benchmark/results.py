@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import json
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,7 +23,7 @@ from zenostat.topics.user_file import user_file
 
 _LIBRARIES = ("gymnasium", "numpy", "optuna", "pyenergyplus-lbnl", "scipy", "stable-baselines3", "torch")
 NEEDED_VERSIONS = ("zenostat", "python", "machine", "gymnasium", "numpy", "pyenergyplus-lbnl")
-"""Versions that determine the rewards of a sequence of actions."""
+"""Versions that determine the rewards of a sequence of actions, and so the rows of controllers that are not trained."""
 
 
 def current_versions() -> dict[str, str]:
@@ -175,17 +175,20 @@ def _release(version: str) -> str:
     return version.partition("+")[0]
 
 
-def changed_versions(saved: Mapping[str, str], now: Mapping[str, str] | None = None) -> list[str]:
+def changed_versions(
+    saved: Mapping[str, str], now: Mapping[str, str] | None = None, names: Collection[str] | None = None
+) -> list[str]:
     """Return what had another version before: `numpy 2.3.0, now 2.4.0`.
 
     Args:
         saved: the versions of results or of a bound.
         now: those of other results, which are compared as far as both have them; None: the current ones.
+        names: compare only these; None: all.
     """
     known = current_versions() if now is None else now
     compared = known.keys() | (_LIBRARIES if now is None else ())
     return [
         f"{name} {version}, now {known.get(name, 'missing')}"
         for name, version in saved.items()
-        if name in compared and _release(version) != _release(known.get(name, ""))
+        if name in compared and (names is None or name in names) and _release(version) != _release(known.get(name, ""))
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 import secrets
 import tempfile
@@ -12,7 +13,7 @@ from typing import Any
 from zenostat.agent_sdk.controllers.loader import CONTROLLERS
 from zenostat.lab.benchmark.definition import BASELINE, BASELINES, REWARD, SETS, VERSION, Episode, is_prepared
 from zenostat.lab.benchmark.rerun import check_rows
-from zenostat.lab.benchmark.results import Results, changed_versions, episode_of, load_results
+from zenostat.lab.benchmark.results import NEEDED_VERSIONS, Results, changed_versions, episode_of, load_results
 from zenostat.lab.benchmark.results_file import ROUNDING, TERMS, Row, is_rounding
 from zenostat.lab.benchmark.run import check_controllers, name_of, stale_trainings
 from zenostat.lab.benchmark.scores import relative_linear, relative_reward
@@ -21,6 +22,8 @@ from zenostat.topics.errors import InvalidConfig
 
 _SHOWN = 5
 _PUBLISHED_SET = "full"
+_OTHER_VERSIONS = 0.01
+"""Largest relative difference of rewards of the baseline control that were made with other versions."""
 _HIGHEST, _LOWEST = 1.0, -100.0
 """Scores out of this range are errors of a program: 1 is a week without any costs."""
 
@@ -106,10 +109,9 @@ def _compare_baseline(results: Results, path: Path, reference: Path | None) -> t
     published = load_results(published_path)
     if published.set != results.set:
         raise InvalidConfig(f"{path} has results of the set {results.set!r}, the reference those of {published.set!r}")
-    if changes := changed_versions(results.versions, published.versions):
-        notes = [f"version of {change}" for change in changes]
-        return [], [*notes, f"{not_compared}: they were made with other versions"]
-    return _other_baseline(results, published)
+    changes = changed_versions(published.versions, results.versions, NEEDED_VERSIONS)
+    errors, notes = (_far_baseline if changes else _other_baseline)(_baseline_pairs(results, published))
+    return errors, [*(f"version of {change}" for change in changes), *notes]
 
 
 def _incomplete(results: Results) -> list[str]:
@@ -204,14 +206,37 @@ def _other_floor_area(row: Row, baseline: Row) -> list[str]:
     return [f"{energy!r} kWh of HVAC energy are not {kpi!r} kWh/m² in this building"]
 
 
-def _other_baseline(results: Results, published: Results) -> tuple[list[str], list[str]]:
-    """Return an error for each row of the baseline control that is not the published one, and a note on rounding."""
+def _baseline_pairs(results: Results, published: Results) -> list[tuple[Row, Row]]:
+    """Return the published rows of the baseline control that results have as well, each with that of the results."""
     rows = [row for row in published.rows.values() if row.controller == BASELINE]
-    pairs = [(row, own) for row in rows if (own := results.rows.get(episode_of(row).key)) is not None]
+    return [(row, own) for row in rows if (own := results.rows.get(episode_of(row).key)) is not None]
+
+
+def _other_baseline(pairs: Sequence[tuple[Row, Row]]) -> tuple[list[str], list[str]]:
+    """Return an error for each row of the baseline control that is not the published one, and a note on rounding."""
     different = [row for row, own in pairs if not row.is_close(own)]
     rounded = sum(not row.same(own) for row, own in pairs) - len(different)
     notes = [f"{rounded} rows of the baseline control equal the published ones but for rounding"] if rounded else []
     return [f"{episode_of(row)}: not the published row of the baseline control" for row in different[:_SHOWN]], notes
+
+
+def _far_baseline(pairs: Sequence[tuple[Row, Row]]) -> tuple[list[str], list[str]]:
+    """Return an error for each row that other versions do not explain, and a note on how the rows were compared."""
+    far = [
+        f"{episode_of(row)}: {what} {now!r}, in the published row of the baseline control {value!r}: other versions "
+        "do not explain that"
+        for row, own in pairs
+        for what, value, now in (
+            ("a reward of", row.reward, own.reward),
+            ("a linear reward of", row.linear, own.linear),
+        )
+        if not math.isclose(value, now, rel_tol=_OTHER_VERSIONS)
+    ]
+    note = (
+        f"the rows of the baseline control were compared within {100.0 * _OTHER_VERSIONS:g} % only: they were made with other "
+        "versions"
+    )
+    return far[:_SHOWN], [note]
 
 
 def _draw(results: Results, count: int, seed: int, controllers: Sequence[str]) -> tuple[list[Row], list[str]]:

@@ -554,14 +554,30 @@ def test_benchmark_files__names_are_no_markup_in_a_table() -> None:
     assert line == [r"| \<img src=x\>\|\[x\](javascript:1) my_file.py:A | 1 [0, 2] |"]
 
 
-def test_benchmark_files__other_versions_are_noted_instead_of_compared(
-    rows: list[Row], complete: Path, tmp_path: Path
+@pytest.mark.parametrize("library", ["optuna", "scipy", "stable-baselines3", "torch"])
+def test_benchmark_files__versions_of_what_trains_do_not_matter_to_the_baseline_control(
+    library: str, rows: list[Row], complete: Path, tmp_path: Path
 ) -> None:
-    older = [dataclasses.replace(one, linear=-6.0) for one in rows]
+    other = [dataclasses.replace(one, linear=-5.1) for one in rows]
+    versions = load_results(complete).versions | {library: "1.0"}
+    reference = written(tmp_path / "reference.json", other, versions=versions)
+    errors, notes = check_submission(complete, reference, {})
+    assert [error.partition(": ")[2] for error in errors] == ["not the published row of the baseline control"] * 2
+    assert not any(library in note for note in notes)
+
+
+@pytest.mark.parametrize(("factor", "is_explained"), [(1.005, True), (1.02, False), (0.5, False)])
+def test_benchmark_files__baseline_of_other_versions_is_compared_roughly(
+    factor: float, is_explained: bool, rows: list[Row], complete: Path, tmp_path: Path
+) -> None:
+    older = [dataclasses.replace(one, linear=factor * one.linear) for one in rows]
     reference = written(tmp_path / "reference.json", older, versions={"numpy": "1.0"})
     errors, notes = check_submission(complete, reference, {})
-    assert errors == []
-    assert any(note.startswith("the rows of the baseline control were not compared") for note in notes)
+    assert [error.partition(": ")[2].split(",")[0] for error in errors] == ["a linear reward of -5.0"] * 2 * (
+        not is_explained
+    )
+    assert any(note.startswith("version of numpy 1.0, now ") for note in notes)
+    assert any("were compared within 1 % only" in note for note in notes)
 
 
 def test_benchmark_files__submission_is_checked_without_published_rows(
