@@ -232,11 +232,10 @@ def _far_baseline(pairs: Sequence[tuple[Row, Row]]) -> tuple[list[str], list[str
         )
         if not math.isclose(value, now, rel_tol=_OTHER_VERSIONS)
     ]
-    note = (
-        f"the rows of the baseline control were compared within {100.0 * _OTHER_VERSIONS:g} % only: they were made with other "
-        "versions"
-    )
-    return far[:_SHOWN], [note]
+    within = f"within {100.0 * _OTHER_VERSIONS:g} % only"
+    return far[:_SHOWN], [
+        f"the rows of the baseline control were compared {within}: they were made with other versions"
+    ]
 
 
 def _draw(results: Results, count: int, seed: int, controllers: Sequence[str]) -> tuple[list[Row], list[str]]:
