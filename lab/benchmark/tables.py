@@ -114,11 +114,11 @@ def _times(results: Results, scores: Sequence[Scores]) -> Table:
         records = [record for key, record in results.trainings.items() if key.split("/")[0] == name]
         trainings = [record["processor_s"] for record in records if record.get("processor_s") is not None]
         known = [seconds for seconds in episodes if seconds is not None]
-        total = sum(
-            fmean(times) * count for times, count in ((known, len(episodes)), (trainings, len(records))) if times
-        )
+        counted = ((known, len(episodes)), (trainings, len(records)))
+        total = sum(fmean(times) * count / 3600.0 for times, count in counted if times)
+        is_known = all(times or not count for times, count in counted)
         lines.append((
-            name, _mean_text(known), str(len(records) or ""), _mean_text(trainings), f"{total / 3600.0:.1f}",
+            name, _mean_text(known), str(len(records) or ""), _mean_text(trainings), f"{total:.1f}" if is_known else "",
         ))  # fmt: skip
     columns = ("controller", "an episode (s)", "trainings or tunings", "one of them (s)", "all (h)")
     return Table("Processor time", columns, tuple(lines))

@@ -198,6 +198,23 @@ def test_benchmark__scores_need_the_baseline_control_and_common_episodes() -> No
         score_rows([row("baseline", reward=0.0)])
 
 
+def test_benchmark__processor_time_has_no_sum_where_no_time_is_known() -> None:
+    """Two episodes of 1,800 s each, and trainings of 3,600 s and of an unknown time, for which the mean counts."""
+    names = ["baseline", "ppo", "tuned"]
+    results = Results("smoke")
+    results.add([dataclasses.replace(row(name, seed=seed), processor_s=1800.0) for name in names for seed in (1, 2)])
+    results.add([dataclasses.replace(row("rbc", seed=seed), processor_s=None) for seed in (1, 2)])
+    times = {"ppo/a/summer/0": 3600.0, "ppo/a/summer/1": None, "tuned/a/summer": None}
+    results.trainings = {name: {**TRAINING, "processor_s": of} for name, of in times.items()}
+    lines = {line[0]: line[1:] for line in tables(results)[3].rows}
+    assert lines == {
+        "baseline": ("1800.0", "", "", "1.0"),
+        "ppo": ("1800.0", "2", "3600.0", "3.0"),
+        "tuned": ("1800.0", "1", "", ""),
+        "rbc": ("", "", "", ""),
+    }
+
+
 # The definition
 
 
@@ -453,6 +470,12 @@ def test_benchmark__published_tables_and_figures_are_those_of_the_published_rows
     ):
         text = path.read_text(encoding="utf-8")
         assert renewed(text) == text, "python tests/support/benchmark_page.py"
+
+
+def test_benchmark__published_trainings_of_two_sets_have_their_times_in_both() -> None:
+    full, quick = (load_results(benchmark_page.PUBLISHED[name]) for name in ("full", "quick"))
+    shared = full.trainings.keys() & quick.trainings
+    assert [name for name in shared if full.trainings[name]["processor_s"] is None] == []
 
 
 @pytest.mark.parametrize("name", SETS)

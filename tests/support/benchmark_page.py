@@ -37,15 +37,10 @@ _CURVES = "![Evaluations of each training on the training weather; points: befor
 
 def published(name: str) -> Results | None:
     """Return the published results of a set; None if there are none."""
-    if not PUBLISHED[name].is_file():
-        return None
-    results = load_results(PUBLISHED[name])
-    if name == "full" and (quick := published("quick")) is not None:
-        _add_times(results, quick)
-    return results
+    return load_results(PUBLISHED[name]) if PUBLISHED[name].is_file() else None
 
 
-def _add_times(results: Results, others: Results) -> None:
+def add_times(results: Results, others: Results) -> None:
     """Add the processor times of trainings and tunings that were made for another set and used again."""
     for key, record in results.trainings.items():
         other = others.trainings.get(key)
@@ -283,10 +278,14 @@ def write_curve_table(results: Results, path: Path) -> None:
 
 
 def main() -> None:
-    """Write pages, figures and curves."""
+    """Write the times of trainings that two sets share into the published rows, and pages, figures and curves."""
+    full, quick = published("full"), published("quick")
+    if full is not None and quick is not None:
+        add_times(full, quick)
+        full.save(PUBLISHED["full"])
     for path, renewed in ((PAGE, page), (PLANNING, planning_page)):
         path.write_text(renewed(path.read_text(encoding="utf-8")), encoding="utf-8")
-    results = published("full") or published("quick")
+    results = full or quick
     if results is None:
         return
     rasters = [*write_figures(complete(results), FOLDER), write_curves(results, FOLDER)]
