@@ -22,6 +22,7 @@ from zenostat.agent_sdk.controllers import (
     load_controller,
     make_controller,
 )
+from zenostat.agent_sdk.controllers.agent import InexpressibleCommands
 from zenostat.agent_sdk.controllers.base import PlanningController
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
 from zenostat.agent_sdk.envs.arguments import fields_of_file, of_scenario
@@ -41,7 +42,7 @@ from zenostat.metrics.statistics import MetricSummary, summarize
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 from zenostat.topics import codec, keys
-from zenostat.topics.errors import InvalidAction, InvalidConfig, UsageError, ZenostatError, did_you_mean, repeated
+from zenostat.topics.errors import InvalidConfig, UsageError, ZenostatError, did_you_mean, repeated
 from zenostat.topics.keys import safe_name
 from zenostat.topics.messages import Event, EventKind, State
 from zenostat.topics.printable import replace_controls
@@ -346,7 +347,7 @@ def evaluate(
                         source_names = {getattr(env.link, "name", ""): name}
                         traces[name] = ControllerTrace(recorder.trajectory(source_names), weathers, env.reward)
                         text = _scenario_text(env) if not (text and is_baseline) else text
-                except InvalidAction as error:
+                except InexpressibleCommands as error:
                     unfit[name] = error
                 except Exception as error:  # of a user's controller; the others still run
                     failures[name] = error

@@ -23,6 +23,10 @@ from zenostat.topics.messages import Action, Actuator, DiscreteAction, Manifest
 from zenostat.topics.points import bounds, check_command, contains, describe_violation, value_index
 
 
+class InexpressibleCommands(InvalidAction):
+    """Commands that no action of the task can express: the controller does not fit the scenario."""
+
+
 class Agent:
     """Run a controller over episodes, and return its commands as values or as actions of an environment.
 
@@ -87,9 +91,11 @@ class Agent:
                 begin(sample)
         values, name = self.controller.act(sample), type(self.controller).__name__
         if not isinstance(values, Mapping | None):
-            raise InvalidAction(f"{name}.act returned {values!r}; a mapping of actuators to values expected")
+            raise InvalidAction(
+                f"{name}.act returned {values!r} in step {sample.step}; a mapping of actuators to values expected"
+            )
         for actuator, value in (values or {}).items():
-            check_command(f"{name}: {actuator}", value)
+            check_command(f"{name}, step {sample.step}: {actuator}", value)
         return values or {}
 
     def action(self, sample: SampleView) -> Any:
@@ -122,14 +128,15 @@ def action_of(manifest: Manifest, values: Mapping[str, float | None], sample: Sa
 
     Raises:
         InvalidConfig: an action is relative and there is no sample.
-        InvalidAction: no action can express the values: an actuator has no value or is relinquished, or belongs to no
-            action; actuators of one action have different values; or (continuous) a value is out of bounds.
+        InexpressibleCommands: no action can express the values: an actuator has no value or is relinquished, or belongs
+            to no action; actuators of one action have different values; or (continuous) a value is out of bounds.
+        InvalidAction: a value is not finite.
     """
     actions = manifest.task.actions
     known = [name for action in actions for name in action.actuators]
     for name in values:
         if name not in known:
-            raise InvalidAction(f"no action of the task sets {name!r}; {did_you_mean(name, known)}")
+            raise InexpressibleCommands(f"no action of the task sets {name!r}; {did_you_mean(name, known)}")
     targets = {
         action.name: _offset(action, values, sample) if action.relative else _value(action, values)
         for action in actions
@@ -141,7 +148,7 @@ def action_of(manifest: Manifest, values: Mapping[str, float | None], sample: Sa
         return rows[0] if len(rows) == 1 else np.array(rows, np.int64)
     for action in actions:
         if not contains(action, targets[action.name]):
-            raise InvalidAction(describe_violation(action, targets[action.name]))
+            raise InexpressibleCommands(describe_violation(action, targets[action.name]))
     return np.array([targets[action.name] for action in actions], np.float32)
 
 
@@ -176,14 +183,16 @@ def _baseline(action: Action, sample: SampleView | None) -> list[tuple[Actuator,
 def _value(action: Action, values: Mapping[str, float | None]) -> float:
     distinct = {values.get(name) for name in action.actuators}
     if distinct == {None}:
-        raise InvalidAction(
+        raise InexpressibleCommands(
             f"the controller leaves {action.name!r} to baseline control, but an action always sets a value; if it "
             "never sets one, remove it from the scenario's actuators (without any actuator, all is under baseline "
             "control); if it does at times, use relative actions, or compare recordings of `zenostat run`"
         )
     if len(distinct) > 1:
         differing = ", ".join(f"{name} = {values.get(name)}" for name in action.actuators[:5])
-        raise InvalidAction(f"the action {action.name!r} sets one value for all its actuators, but got {differing}")
+        raise InexpressibleCommands(
+            f"the action {action.name!r} sets one value for all its actuators, but got {differing}"
+        )
     value = distinct.pop()
     if value is None or not np.isfinite(value):
         raise InvalidAction(f"{action.name} = {value}; expected a finite number")

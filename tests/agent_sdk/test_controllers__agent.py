@@ -68,11 +68,14 @@ def generated() -> Iterator[dict[str, float]]:
 @pytest.mark.parametrize(
     ("answer", "message"),
     [
-        ([20.0, 25.0], r"Answer\.act returned \[20.0, 25.0\]; a mapping of actuators to values expected"),
-        (generated(), r"Answer\.act returned <generator object .*>; a mapping of actuators to values expected"),
-        ({HEAT.name: "20", COOL.name: 25.0}, r"Answer: heating_setpoint = '20'; a finite number or None"),
-        ({HEAT.name: 20.0, COOL.name: True}, r"Answer: cooling_setpoint = True; a finite number or None"),
-        ({HEAT.name: 20.0, COOL.name: math.inf}, r"Answer: cooling_setpoint = inf; a finite number or None"),
+        ([20.0, 25.0], r"Answer\.act returned \[20.0, 25.0\] in step 0; a mapping of actuators to values expected"),
+        (
+            generated(),
+            r"Answer\.act returned <generator object .*> in step 0; a mapping of actuators to values expected",
+        ),
+        ({HEAT.name: "20", COOL.name: 25.0}, r"Answer, step 0: heating_setpoint = '20'; a finite number or None"),
+        ({HEAT.name: 20.0, COOL.name: True}, r"Answer, step 0: cooling_setpoint = True; a finite number or None"),
+        ({HEAT.name: 20.0, COOL.name: math.inf}, r"Answer, step 0: cooling_setpoint = inf; a finite number or None"),
     ],
 )
 def test_agent__names_the_controller_and_what_it_returned(answer: Any, message: str) -> None:

@@ -331,6 +331,33 @@ class Broken(Controller):
         return {"zone_1_cooling_setpoint": 24.0 / sample.step}
 
 
+class Answers(Controller):
+    """A controller that commands a prescribed value from its third step on."""
+
+    def __init__(self, manifest: Manifest, *, value: Any) -> None:
+        super().__init__(manifest)
+        self._value = value
+
+    def act(self, sample: SampleView) -> dict[str, Any]:
+        values = dict.fromkeys((actuator.name for actuator in self.manifest.actuators), 22.5)
+        return values | {"zone_1_cooling_setpoint": 22.5 if sample.step < 2 else self._value}
+
+
+@pytest.mark.parametrize("value", [math.inf, math.nan, "24"])
+def test_evaluation__value_that_is_no_finite_number_is_a_failure_of_the_controller(value: object) -> None:
+    evaluation = evaluate(building(), {"answers": partial(Answers, value=value), "rbc": "rbc"})
+    assert evaluation.unfit == {}
+    shown = value if isinstance(value, float) else repr(value)
+    text = f"Answers, step 2: zone_1_cooling_setpoint = {shown}; a finite number or None (relinquish) expected"
+    assert evaluation.failures == {"answers": text}
+
+
+def test_evaluation__commands_that_no_action_can_express_do_not_fit_the_scenario() -> None:
+    evaluation = evaluate(building(), {"answers": partial(Answers, value=None), "rbc": "rbc"})
+    assert evaluation.failures == {}
+    assert evaluation.unfit["answers"].startswith("the controller leaves 'zone_1_cooling_setpoint' to baseline control")
+
+
 def test_evaluation__other_controllers_run_after_one_that_fails() -> None:
     evaluation = evaluate(building(), {"exits": Exits, "rbc": "rbc", "broken": Broken}, trace=True)
     assert evaluation.rows == evaluate(building(), ["rbc"]).rows
