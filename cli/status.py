@@ -61,6 +61,8 @@ def _print_node(node: Status) -> None:
         "commands": messages,
         "memory": f"{memory}, of which {_mb(node.engine_private_bytes)} private",
     }
+    if node.waiting:
+        rows["waits"] = node.waiting
     if node.recording is not None:
         rows["recording"] = describe_recording(node.recording)
     show("", ("node", node.node), list(rows.items()), wrap=(node.node,))

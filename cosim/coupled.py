@@ -118,6 +118,8 @@ class GuardedPlant:
     Attributes:
         is_available: whether the latest values are the plant's own, not held ones.
         is_tried: the same for its latest trials.
+        waiting: why the district waits for it; empty if it does not, or just because the plant computes.
+        on_waiting: called with each new reason, in the thread that waits.
     """
 
     def __init__(
@@ -142,11 +144,14 @@ class GuardedPlant:
         self._trial_error: Exception | None = None
         self._warnings: list[str] = []
         self._latest_warning = ""
+        self.waiting = self._reported = ""
+        self.on_waiting: Callable[[str], None] = lambda _: None
 
     def reset(self, seed: int) -> Rows:
         """Begin an episode; `EngineDied` if the plant cannot."""
         self._history, self._seed, self._error, self._last_step = [], seed, None, 0
         self.is_available = self.is_tried = True
+        self.waiting = self._reported = ""
         try:
             self._last = self.plant.reset(seed)
         except LOST as error:
@@ -236,6 +241,17 @@ class GuardedPlant:
         warnings, self._warnings = [*self._warnings, *self.plant.drain_warnings()], []
         return warnings
 
+    def report_obstacle(self, obstacle: str) -> None:
+        """Report what keeps the plant's node from a timestep for which the district waits; empty: nothing known."""
+        self._report_waiting(obstacle and f"plant {self.name!r} does not go on: {obstacle}")
+
+    def _report_waiting(self, reason: str) -> None:
+        """Keep why the district waits; report a reason that is neither the present one nor that of the last step."""
+        is_new = reason not in ("", self.waiting, self._reported)
+        self.waiting = reason
+        if is_new:
+            self.on_waiting(reason)
+
     def _failure(self, error: Exception) -> SimulatorError:
         return EngineDied(f"plant {self.name!r}: {error}")
 
@@ -266,6 +282,7 @@ class GuardedPlant:
                     f"plant {self.name!r} is lost ({error}), and did not come back within {self._timeout_s:g} s or "
                     f"{_MAX_FAILURES} attempts: {latest}"
                 ) from None
+            self._report_waiting(f"plant {self.name!r} is lost, and the district waits for it: {error}")
             self._retry(self._stop)
         raise self._failure(latest) from None
 
@@ -311,6 +328,7 @@ class GuardedPlant:
     def _keep(self, rows: Rows) -> Rows:
         """Keep the samples of the present step, and return them."""
         self._last, self._last_step = rows, len(self._history)
+        self._reported, self.waiting = self.waiting, ""
         return rows
 
 

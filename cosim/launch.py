@@ -212,6 +212,8 @@ class PlantSet:
             else:
                 timeout_s = float(spec.lost_timeout)
                 guarded[name] = GuardedPlant(name, plant, on_lost, timeout_s=timeout_s, stop=self.stop)
+            if isinstance(plant, NodePlant):
+                plant.on_wait = guarded[name].report_obstacle
         return guarded
 
     def close(self) -> None:

@@ -20,7 +20,10 @@ from zenostat.bridge.transport.session import certificate_file
 from zenostat.cosim.coupled import Rows
 from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import BusError, EpisodeChanged, NodeLost, RequestRejected, ZenostatError
-from zenostat.topics.messages import CommandOp, ControllerState, CreateBranch, Manifest, Mode, Reset, State
+from zenostat.topics.messages import CommandOp, ControllerState, CreateBranch, Manifest, Mode, Reset, State, Status
+
+_LEFT = (ControllerState.DISCONNECTED, ControllerState.ABSENT)
+"""States of a controller that has left the bus, and for whose command the node waits."""
 
 _SET, _RELINQUISH = int(CommandOp.SET), int(CommandOp.RELINQUISH)
 
@@ -34,6 +37,8 @@ class NodePlant:
 
     Attributes:
         manifest: its manifest at the start, which a node that replaces it has to fit.
+        on_wait: called while the district waits for a timestep, with what keeps the node from it; empty: nothing that
+            its status says.
     """
 
     def __init__(self, node: str, controller: str = "orchestrator") -> None:
@@ -45,6 +50,7 @@ class NodePlant:
         self._sample: SampleView | None = None
         self._ordered = np.empty(0)  # the latest commands
         self._warnings: list[str] = []
+        self.on_wait: Callable[[str], None] = lambda _: None
         self._trial: PendingTrial | None = None
         self._close_bus = ExitStack()
         self.manifest: Manifest
@@ -77,6 +83,7 @@ class NodePlant:
         """The orchestrator's claim on all actuators; `NodeLost` if another node has replaced the plant's."""
         if self._link is None:
             self._link = self.bus.controller(self._node, name=self._controller)
+            self._link.on_wait = self._report_wait
         link = self._link
         if link.manifest is not self._accepted:
             if difference := _difference(link.manifest, self.manifest):
@@ -122,6 +129,10 @@ class NodePlant:
 
     def _receive(self) -> SampleView:
         return self.link.receive()
+
+    def _report_wait(self) -> None:
+        with suppress(ZenostatError):
+            self.on_wait(_obstacle(self.bus.status(self._node)))
 
     def _send(self, row: Floats) -> None:
         self._ordered = row
@@ -410,6 +421,18 @@ class FoundPlant(NodePlant):
         if self.link.mode is not Mode.LOCKSTEP:
             self.bus.pace(self._node, mode=Mode.LOCKSTEP, source=self._controller)
         return super()._reset(seed)
+
+
+def _obstacle(status: Status) -> str:
+    """Return what keeps a node from its timestep: a pause, or controllers that have left; empty if it is neither."""
+    if status.waiting or status.state is not State.WAITING:
+        return status.waiting
+    if status.paused and not status.steps_left:
+        return f"node {status.node!r} is paused"
+    left = [c.controller for c in status.controllers if c.required and c.state in _LEFT]
+    are = "is" if len(left) == 1 else "are"
+    waits = f"node {status.node!r} waits for {', '.join(map(repr, left))}, which {are} disconnected"
+    return f"{waits} (policy {status.policy})" if left else ""
 
 
 def _difference(manifest: Manifest, previous: Manifest) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -173,6 +173,7 @@ class DistrictPlant(PlantDefaults):
 
     Attributes:
         lost_steps: of a verification: number of steps in which a plant was lost, by the recording.
+        on_waiting: see `zenostat.bridge.node.plant.WaitingPlant`.
     """
 
     def __init__(
@@ -191,6 +192,10 @@ class DistrictPlant(PlantDefaults):
         self._random = np.random.default_rng()
         self._seed = self._draw(seed)
         self._broken = self._abandoned = ""
+        self.on_waiting: Callable[[str], None] = lambda _: None
+        self._reporting = threading.Lock()  # plants of several loops may wait at the same time
+        for plant in plants.values():
+            plant.on_waiting = self._report_waiting
 
     # Episodes
 
@@ -258,6 +263,15 @@ class DistrictPlant(PlantDefaults):
             if self._abandoned:
                 raise EngineDied(self._abandoned) from None
             raise
+
+    def _report_waiting(self, reason: str) -> None:
+        with self._reporting:
+            self.on_waiting(reason)
+
+    @property
+    def waiting(self) -> str:
+        """For which plants a step waits, and why; see `WaitingPlant`."""
+        return "; ".join(plant.waiting for plant in self._plants.values() if plant.waiting)
 
     def values(self) -> bytes:
         """Return the values of all plants, and of the orchestration; see `RunningPlant.values`."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from types import TracebackType
 from typing import Any
@@ -75,6 +75,7 @@ class ControllerLink:
         accepted: The node's answer to the latest reset.
         paced_by: Who has set the node's mode, or paused or resumed it, since this controller is connected; empty if
             unknown.
+        on_wait: Called by `receive` and `reset` where they have waited for a second, and again every few seconds.
     """
 
     accepted: Ack
@@ -90,6 +91,7 @@ class ControllerLink:
         self._closed: ZenostatError | None = None
         self._latest: SampleView | None = None
         self._answered, self._done = True, False
+        self.on_wait: Callable[[], None] = lambda: None
         self._watchdog = ReceiveWatchdog(bus.timer, lambda: self._busy and self._latest, self._wake)
         self._close.callback(self._watchdog.close)
         with ExitStack() as undo:
@@ -312,6 +314,7 @@ class ControllerLink:
             self._claimed = False
             self._ended = None if isinstance(error, RequestRejected) else error
             raise
+        self.on_wait()
         return None if sample is None or (self._latest is None and not resetting) else self._view(sample)
 
     def _view(self, sample: Sample) -> SampleView:

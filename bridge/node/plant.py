@@ -386,6 +386,22 @@ class WarningPlant(Protocol):
 
 
 @runtime_checkable
+class WaitingPlant(Protocol):
+    """A plant whose timestep may wait for others, such as a district's for somebody on the bus of one of its plants.
+
+    Attributes:
+        on_waiting: called by `step` and `start` with each new reason to wait, in the node's thread, or in another one
+            for which that waits.
+    """
+
+    on_waiting: Callable[[str], None]
+
+    @property
+    def waiting(self) -> str:
+        """Why the running timestep waits; empty if it does not. Thread-safe."""
+
+
+@runtime_checkable
 class AbandonablePlant(Protocol):
     """A plant whose running `step` or `start` can be given up while the node goes on; else `interrupt` is called."""
 

@@ -298,6 +298,7 @@ class RequestHandlers:
             duplicate=counts.duplicate,
             failure=server.failure,
             failure_error=server.failure_error,
+            waiting=server.waiting,
             node_rss_bytes=psutil.Process().memory_info().rss,
             engine_rss_bytes=server.plant.memory_bytes(),
             statistics=server.statistics(),

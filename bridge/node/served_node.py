@@ -100,6 +100,10 @@ class ServedNode(Protocol):
         """Name of the error's class."""
 
     @property
+    def waiting(self) -> str:
+        """Why the running timestep waits for others; empty if it does not."""
+
+    @property
     def elapsed_s(self) -> float:
         """Simulated time since all slots began."""
 

@@ -25,7 +25,7 @@ from zenostat.bridge.exchange.step_exchange import StepExchange, Trigger
 from zenostat.bridge.node.fault_injection import NO_FAULTS, FaultInjection, FaultState
 from zenostat.bridge.node.history import History
 from zenostat.bridge.node.pacing import Pacing
-from zenostat.bridge.node.plant import RunningPlant, WarningPlant
+from zenostat.bridge.node.plant import RunningPlant, WaitingPlant, WarningPlant
 from zenostat.bridge.node.publications import Publications
 from zenostat.bridge.node.request_handlers import RequestHandlers
 from zenostat.bridge.node.sample_encoding import SampleEncoder
@@ -97,6 +97,9 @@ class NodeServer:
         self.session, self.plant, self.manifest = session, plant, manifest
         self.plant_warnings: dict[str, None] = {}
         self._warnings = plant if isinstance(plant, WarningPlant) else None
+        self._waiting = plant if isinstance(plant, WaitingPlant) else None
+        if self._waiting is not None:
+            self._waiting.on_waiting = lambda reason: self.event(self.exchange.event(EventKind.WARNING, reason))
         self.exchange, self.history, self.alarms = exchange, history, alarms
         self._observer = observer
         self._close = ExitStack()
@@ -502,6 +505,11 @@ class NodeServer:
         if self.exchange.state in (State.RUNNING, State.STARTING):
             self.plant.interrupt()
         self.trials.interrupt("the node ends")
+
+    @property
+    def waiting(self) -> str:
+        """Why the running timestep waits for others; empty if it does not. Thread-safe."""
+        return "" if self._waiting is None or self.exchange.state is not State.RUNNING else self._waiting.waiting
 
     @property
     def elapsed_s(self) -> float:

@@ -70,6 +70,45 @@ def test_wait__plant_that_comes_back_has_lost_nothing(folder: Path) -> None:
     assert report == "plant 'a' was lost, and is back at step 5: node 'node' is gone"
 
 
+def test_wait__district_says_once_for_whom_it_waits(folder: Path) -> None:
+    waiting: list[str] = []
+
+    def retry(_: object) -> None:
+        waiting.append(guarded["a"].waiting)
+        plants["a"].is_back = len(waiting) == 3
+
+    plants, orchestrator, guarded = district(folder, OnLost.WAIT, retry=retry)
+    reported: list[str] = []
+    guarded["a"].on_waiting = reported.append
+    plants["a"].fails_at = 4
+    trajectory(orchestrator, plants, STEPS)
+    text = "plant 'a' is lost, and the district waits for it: node 'node' is gone"
+    assert waiting == [text] * 3
+    assert reported == [text]
+    assert guarded["a"].waiting == ""
+
+
+def test_wait__reason_is_reported_when_it_is_new_and_not_in_each_step(folder: Path) -> None:
+    _, _, guarded = district(folder, OnLost.STOP)
+    plant, reported = guarded["a"], list[str]()
+    plant.on_waiting = reported.append
+    paused, gone = "node 'node' is paused", "node 'node' waits for 'fmi', which is disconnected (policy wait)"
+
+    def step(*obstacles: str) -> None:
+        plant.begin(np.zeros((1, 1)))
+        for obstacle in obstacles:
+            plant.report_obstacle(obstacle)
+        plant.finish()
+        assert plant.waiting == ""
+
+    step(paused, paused)
+    step(paused)  # by somebody who lets it step now and then
+    step("", gone)
+    step("")
+    step(gone)
+    assert [text.partition(": ")[2] for text in reported] == [paused, gone, gone]
+
+
 def _undisturbed(folder: Path) -> tuple[Orchestrator, dict[str, FakeCoupled]]:
     plants, orchestrator, _ = district(folder, OnLost.STOP)
     return orchestrator, plants

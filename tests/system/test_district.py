@@ -16,6 +16,7 @@ import psutil
 import pytest
 from support.nodes import NodeProgram, programs_of, until
 from support.run_cli import run_python
+from zenoh.handlers import FifoChannel
 
 import zenostat
 from zenostat.bridge.recording.reader import RecordingReader
@@ -26,7 +27,7 @@ from zenostat.cosim.node_plant import FoundPlant
 from zenostat.cosim.verify_recording import verify_district
 from zenostat.evaluation import connection_balances
 from zenostat.recording import load
-from zenostat.topics import codec
+from zenostat.topics import codec, keys
 from zenostat.topics.errors import EngineDied, InvalidConfig, InvalidRecording, RequestRejected, UnknownName
 from zenostat.topics.messages import Event, EventKind, Flag, Mode, Reset, State
 
@@ -460,6 +461,51 @@ def test_district__plant_on_a_bus_that_misses_another_controller_is_not_lost(scr
             plant.begin(np.array([[5.0, -4.0]]))
             plant.finish()
         assert bus.latest("home").flags[0] & Flag.FALLBACK
+
+
+@pytest.mark.slow
+def test_district__says_for_which_controller_of_a_plants_bus_it_waits(scratch: Path) -> None:
+    """The plant's node waits for one that has ended, by its policy, and so does the district, which a reset frees."""
+    text = f"""name: pair
+on_lost: wait
+plants:
+  boiler: {{plant: "plants.py:Boiler"}}
+  house: {{node: home, connect: unixsock-stream/{scratch}/home/bus}}
+connections:
+  - {{from: boiler.power, to: house.supply}}
+  - {{from: house.demand, to: boiler.demand, delay: 1}}
+"""
+    file = district(scratch, text)
+    with (
+        NodeProgram(scratch / "home", plant=f"{scratch}/plants.py:House", name="home") as home,
+        zenostat.connect(home.endpoint, affinity="off") as home_bus,
+        running(scratch, file) as (_, bus, name),
+        bus.controller(name) as link,
+        bus.session.declare_subscriber(keys.EVENT.at(name), FifoChannel(1000)) as events,
+    ):
+        expected = episode(link)
+        sample = link.reset(seed=3)
+        values = [sample.message.values]
+        while sample.step < 4:
+            sample.send({"house.outdoor": -4.0 + sample.step})
+            sample = link.receive()
+            values.append(sample.message.values)
+        with home_bus.controller("home", name="fmi", priority=12) as other:
+            pass
+        reason = (
+            f"plant 'house' does not go on: node 'home' waits for {other.name!r}, which is disconnected (policy wait)"
+        )
+        while not sample.truncated:
+            sample.send({"house.outdoor": -4.0 + sample.step})
+            if sample.step == 4:
+                until(lambda: bus.status(name).waiting == reason, "the status has the reason")
+                home_bus.reset("home", Reset(controller="panel"))
+            sample = link.receive()
+            values.append(sample.message.values)
+        assert bus.status(name).waiting == ""
+        texts = [codec.decode(Event, message.payload.to_bytes()).text for message in iter(events.try_recv, None)]
+    assert [text for text in texts if "does not go on" in text] == [reason]
+    assert values == expected
 
 
 def test_district__commands_of_others_on_a_plants_bus_are_an_event(scratch: Path) -> None:

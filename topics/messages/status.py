@@ -76,7 +76,8 @@ class Status(Message):
 
     `steps_left`: timesteps that were requested of a paused node and are not simulated yet. `faults`: the injected
     faults that are active now. `engine_private_bytes`, and `private_bytes` of snapshots and branches: memory shared
-    with no other process; 0 unless requested. `recording`: the present or the latest recording.
+    with no other process; 0 unless requested. `recording`: the present or the latest recording. `waiting`: why the
+    running timestep of a district waits for a plant that does not compute; empty if it does not.
     """
 
     node: SafeName
@@ -107,3 +108,4 @@ class Status(Message):
     snapshots: list[ForkStatus] = Field(default_factory=list)
     branches: list[ForkStatus] = Field(default_factory=list)
     recording: RecordingStatus | None = None
+    waiting: str = ""
