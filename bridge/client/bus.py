@@ -147,7 +147,8 @@ class Bus(Connection):
         Raises:
             InvalidConfig: A name, priority or actuators of another form.
             NodeNotFound: No such node.
-            RequestRejected: Another controller holds one of the actuators at that priority.
+            RequestRejected: The node has no actuator of one of the names, or another controller holds one at that
+                priority.
         """
         return open_link(self, node, name=name, priority=priority, actuators=actuators, required=required)
 
@@ -225,7 +226,7 @@ class Bus(Connection):
             NodeNotFound: No such node.
             UnknownName: No such point; the text lists similar names.
             InvalidConfig: A time has another form, or `max_samples` is out of range.
-            RequestRejected: The node keeps no history, or has no sample in that range.
+            RequestRejected: There is no such slot, or the node keeps no history or has no sample in that range.
             EpisodeChanged: A new episode began while the history was read.
         """
         manifest = self.manifest(node)
@@ -280,8 +281,9 @@ class Bus(Connection):
             source: Name of the requester, for the event that reports it.
 
         Raises:
-            InvalidConfig: The file exists or cannot be created, or `on_full` is neither.
-            RequestRejected: The node is recording already, or the path is relative.
+            InvalidConfig: The file exists (with `overwrite`: and is not a recording, or another node is writing to it)
+                or cannot be created, its suffix is another one, or `on_full` is neither.
+            RequestRejected: The node is recording already, the path is relative, or its folder does not exist.
         """
         request = build(StartRecording, path=str(path), now=now, overwrite=overwrite, on_full=on_full, source=source)
         return self.ask(keys.RECORD, node, request, RecordingStatus)
@@ -297,7 +299,12 @@ class Bus(Connection):
     # Alarms
 
     def alarms(self, node: str, *, slot: int = 0) -> AlarmList:
-        """Return all alarms of a slot with their states, in the order of the rules; without rules there are none."""
+        """Return all alarms of a slot with their states, in the order of the rules; without rules there are none.
+
+        Raises:
+            NodeNotFound: No such node.
+            RequestRejected: There is no such slot.
+        """
         return self.ask(keys.ALARMS, node, build(AlarmQuery, slot=slot), AlarmList)
 
     def acknowledge(
@@ -315,7 +322,7 @@ class Bus(Connection):
         Raises:
             NodeNotFound: No such node.
             UnknownName: No such alarm; the text lists similar names.
-            RequestRejected: None of these alarms awaits an acknowledgment.
+            RequestRejected: There is no such slot, or none of these alarms awaits an acknowledgment.
         """
         request = build(Acknowledge, alarm=alarm, slot=slot, source=source, comment=comment)
         return self.ask(keys.ACKNOWLEDGE, node, request, Ack)
@@ -336,7 +343,7 @@ class Bus(Connection):
         Raises:
             NodeNotFound: No such node.
             UnknownName: No such alarm; the text lists similar names.
-            RequestRejected: The time is too long, or these alarms are out of service.
+            RequestRejected: There is no such slot, the time is too long, or these alarms are out of service.
         """
         request = build(Shelve, alarm=alarm, duration_s=duration_s, slot=slot, source=source, comment=comment)
         return self.ask(keys.SHELVE, node, request, Ack)
@@ -347,7 +354,7 @@ class Bus(Connection):
         Raises:
             NodeNotFound: No such node.
             UnknownName: No such alarm; the text lists similar names.
-            RequestRejected: None of these alarms is shelved.
+            RequestRejected: There is no such slot, or none of these alarms is shelved.
         """
         request = build(Unshelve, alarm=alarm, slot=slot, source=source, comment=comment)
         return self.ask(keys.UNSHELVE, node, request, Ack)
@@ -375,6 +382,7 @@ class Bus(Connection):
         Raises:
             NodeNotFound: No such node.
             UnknownName: No such alarm; the text lists similar names.
+            RequestRejected: There is no such slot.
         """
         request = build(
             RemoveFromService, alarm=alarm, duration_s=duration_s, slot=slot, source=source, comment=comment
@@ -389,7 +397,7 @@ class Bus(Connection):
         Raises:
             NodeNotFound: No such node.
             UnknownName: No such alarm; the text lists similar names.
-            RequestRejected: None of these alarms is out of service.
+            RequestRejected: There is no such slot, or none of these alarms is out of service.
         """
         request = build(ReturnToService, alarm=alarm, slot=slot, source=source, comment=comment)
         return self.ask(keys.RETURN_TO_SERVICE, node, request, Ack)

@@ -26,6 +26,7 @@ from zenostat.topics.messages import (
     State,
     TakeSnapshot,
 )
+from zenostat.topics.plurals import counted
 from zenostat.topics.seed_validation import MAX_SEED
 
 _PATIENCE_S = 10.0
@@ -245,7 +246,9 @@ def seeds_of(reset: Reset, slots: int) -> list[int | None]:
     """Return a seed for each of the slots to reset."""
     if isinstance(reset.seed, list):
         if len(reset.seed) != slots:
-            raise RequestRejected(f"{len(reset.seed)} seeds for {slots} slots; one each, or a single one")
+            raise RequestRejected(
+                f"{counted(len(reset.seed), 'seed')} for {counted(slots, 'slot')}; one each, or a single one"
+            )
         return reset.seed
     if reset.seed is None:
         return [None] * slots

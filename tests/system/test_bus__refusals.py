@@ -14,7 +14,7 @@ from zenoh.handlers import FifoChannel, RingChannel
 import zenostat
 from zenostat.bridge.transport.session import open_session
 from zenostat.topics import codec, keys
-from zenostat.topics.errors import InvalidConfig, NodeNotFound
+from zenostat.topics.errors import InvalidConfig, NodeNotFound, RequestRejected
 from zenostat.topics.keys import Topic
 from zenostat.topics.messages import (
     Acknowledge,
@@ -56,6 +56,19 @@ def test_bus__wildcards_and_other_invalid_names_are_no_nodes(episode_bus: zenost
             with pytest.raises(InvalidConfig, match=re.escape(f"the node's name {name!r} is not valid")):
                 request(name)
     assert not episode_bus.status("office").paused
+
+
+def test_bus__requests_for_what_a_node_does_not_have_are_rejected(episode_bus: zenostat.Bus, tmp_path: Path) -> None:
+    requests: dict[str, Callable[[], object]] = {
+        "no slot 1 ": lambda: episode_bus.alarms("office", slot=1),
+        "no slot 2 ": lambda: episode_bus.remove_from_service("office", "*", slot=2),
+        "2 seeds for 1 slot;": lambda: episode_bus.reset("office", Reset(seed=[1, 2])),
+        "no actuator 'cooling'": lambda: episode_bus.controller("office", actuators=["cooling"]),
+        "no folder ": lambda: episode_bus.record("office", tmp_path / "runs" / "run.mcap"),
+    }
+    for text, request in requests.items():
+        with pytest.raises(RequestRejected, match=text):
+            request()
 
 
 def test_bus__names_of_strangers_that_are_not_valid_are_not_listed(episode_bus: zenostat.Bus) -> None:
