@@ -92,9 +92,16 @@ class Pacing:
         self._step_elapsed_s, self.steps_left = 0.0, 0
         self.pace.rebase(monotonic(), self._timesteps)
 
-    def restore(self, speed: float, *, paused: bool) -> None:
-        """Set what a request would set; `begin` begins the schedule."""
-        self.pace.speed, self.paused, self.steps_left = speed, paused, 0
+    def apply(self, request: SetPace | Pause | Resume | StepRequest) -> None:
+        """Set what a request sets, apart from the schedule, which `begin` or `resume_at` begins."""
+        match request:
+            case SetPace():
+                self.pace.speed = request.speed or self._server.manifest.speed
+                self._server.set_mode(request.mode, self.pace.speed)
+            case Pause() | Resume():
+                self.paused, self.steps_left = isinstance(request, Pause), 0
+            case StepRequest():
+                self.steps_left += request.steps
 
     def resume_at(self, now_s: float) -> None:
         """Begin the schedule at the present sample of a node that goes on, and the deadline of its step."""
@@ -158,16 +165,15 @@ class Pacing:
     def _set_pace(self, request: SetPace) -> Message:
         if (request.speed is not None) is not (request.mode is Mode.PACED):
             raise RequestRejected("only the mode 'paced' has a speed, and needs one")
-        server = self._server
-        mode, speed, now_s = request.mode, request.speed or server.manifest.speed, monotonic()
+        server, mode, now_s = self._server, request.mode, monotonic()
         self.cancel()
         self._step_elapsed_s = self._elapsed_in_step_s(now_s)
-        self.pace.speed = speed
-        server.set_mode(mode, speed)
+        self.apply(request)
         self.pace.rebase(now_s, self._timesteps, self._step_elapsed_s)
         self.wait(now_s)
         server.publications.manifest(server.manifest)
-        return self._publish(f"{speed:g} times the wall clock" if mode is Mode.PACED else str(mode), request.source)
+        text = f"{self.speed:g} times the wall clock" if mode is Mode.PACED else str(mode)
+        return self._publish(text, request.source)
 
     def _elapsed_in_step_s(self, now_s: float) -> float:
         """Return the simulated time elapsed in the present timestep according to the clock."""
@@ -177,14 +183,14 @@ class Pacing:
 
     def _pause(self, request: Pause) -> Message:
         self._step_elapsed_s = self._elapsed_in_step_s(monotonic())
-        self.paused, self.steps_left = True, 0
+        self.apply(request)
         self.cancel()
         return self._publish("paused", request.source)
 
     def _resume(self, request: Resume) -> Message:
         if self.paused:
             now_s = monotonic()
-            self.paused, self.steps_left = False, 0
+            self.apply(request)
             self.pace.rebase(now_s, self._timesteps, self._step_elapsed_s)
             self.wait(now_s)
         return self._publish("resumed", request.source)
@@ -194,7 +200,7 @@ class Pacing:
             raise RequestRejected("the node is not paused; pause it first")
         if self._server.exchange.state in (State.ENDED, State.FAILED):
             raise RequestRejected("the episode is over; reset it first")
-        self.steps_left += request.steps
+        self.apply(request)
         self.wait(monotonic())
         return self._publish(f"steps left: {self.steps_left}", request.source)
 

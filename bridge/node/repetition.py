@@ -163,7 +163,7 @@ class Repetition:
         for claim in state.claims:
             exchange.claim(claim, now_s)
         server.set_mode(state.mode, state.speed)
-        server.pacing.restore(state.speed, paused=state.paused)
+        server.pacing.pace.speed, server.pacing.paused = state.speed, state.paused
         if state.faults is not None:
             server.inject(state.faults)
         exchange.ready(now_s)
@@ -292,18 +292,12 @@ class Repetition:
 
     def _apply(self, message: Message) -> None:
         """Apply a request that was accepted."""
-        server, pacing = self._server, self._server.pacing
+        server = self._server
         match message:
             case Claim():
                 self._exchange.claim(message, monotonic())
-            case SetPace():
-                speed = message.speed or server.manifest.speed
-                server.set_mode(message.mode, speed)
-                pacing.pace.speed = speed
-            case Pause() | Resume():
-                pacing.restore(pacing.speed, paused=isinstance(message, Pause))
-            case StepRequest():
-                pacing.steps_left += message.steps
+            case SetPace() | Pause() | Resume() | StepRequest():
+                server.pacing.apply(message)
             case FaultPlan():
                 server.inject(message, server.injection)
             case Acknowledge() | Shelve() | Unshelve() | RemoveFromService() | ReturnToService():
