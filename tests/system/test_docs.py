@@ -38,22 +38,6 @@ SLOW = tuple(
 
 COMMAND: Any = typer.main.get_command(app)
 ENDPOINT = "tcp/127.0.0.1:7447"
-PRESUPPOSED = {
-    ("docs/scenarios.md", 'gym.make("zenostat/office-medium'): "import gymnasium as gym\nimport zenostat",
-    ("docs/wrappers.md", "w.save_wrappers"): "import pathlib\npathlib.Path('model').mkdir()",
-    ("docs/wrappers.md", "w.ChangingContext"): """
-env.close()
-env = gym.make(
-    "zenostat/Building-v1", building="ref-small-office", weather="USA_CO_Denver", begin="07-03", end="07-03",
-    actuators={
-        "cooling": ("Zone Temperature Control", "Cooling Setpoint", "Core_ZN"),
-        "occupants": ("People", "Number of People", "Core_ZN People"),
-    },
-    actions={"cooling": {"actuators": ["cooling"]}},
-)
-""",
-}
-"""Page and the text of a block: what the words around it presuppose, done before that block."""
 
 RUNNER = """
 import ast, json, sys
@@ -121,18 +105,10 @@ def test_docs__programs_run(page: str, scratch: Path) -> None:
         endpoint = ENDPOINT
         if any(ENDPOINT in block.text for block in program):
             endpoint = stack.enter_context(NodeProgram(scratch / "node", **_node_of(page))).endpoint
-        steps = [step for block in program for step in _steps(page, block, endpoint)]
+        steps = [(str(PAGES[page]), block.line, block.text.replace(ENDPOINT, endpoint)) for block in program]
         (scratch / "steps.json").write_text(json.dumps(steps))
         done = run_python("-P", "-c", RUNNER, str(scratch / "steps.json"), cwd=home, timeout=200)
     assert done.returncode == 0, done.stderr
-
-
-def _steps(page: str, block: Block, endpoint: str) -> Iterator[tuple[str, int, str]]:
-    """(page, line, text) of what is presupposed and of the block."""
-    for (where, words), text in PRESUPPOSED.items():
-        if where == page and words in block.text:
-            yield f"before line {block.line} of {page}", 0, text
-    yield str(PAGES[page]), block.line, block.text.replace(ENDPOINT, endpoint)
 
 
 def _put_files(home: Path) -> None:
@@ -154,11 +130,6 @@ def _node_of(page: str) -> dict[str, Any]:
         if seconds in settings:
             settings[f"{seconds}_s"] = settings.pop(seconds)
     return settings | {"end": settings["begin"]}
-
-
-def test_docs__presupposed_blocks_are_there() -> None:
-    for page, words in PRESUPPOSED:
-        assert any(words in block.text for block in of_language(page, "python")), (page, words)
 
 
 # Scenarios
