@@ -64,7 +64,8 @@ class PendingReply(Generic[M]):
                 raise from_wire(codec.decode(ErrorReply, payload, encoding).__dict__)
             return codec.decode(self._type, payload, encoding)
         if reason is not None:
-            raise PeerError(f"node {self._node!r} did not answer {self._topic.key}: {replace_controls(reason)}")
+            what = self._topic.key.partition("/{")[0]
+            raise PeerError(f"node {self._node!r} did not answer {what}: {replace_controls(reason)}")
         return None
 
 

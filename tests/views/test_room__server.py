@@ -1,7 +1,10 @@
 """The control room's server with a plant without zones, as programs use it; no browser."""
 
 import json
+import signal
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -327,6 +330,59 @@ def test_room__invalid_change_is_answered_with_the_reason(
 def test_room__long_name_is_cut_in_an_error(client: Any) -> None:
     message = change(client, "write", point="x" * 100_000, value=1).json()["message"]
     assert message == f"no actuator '{'x' * 300}…'; there are: 'pump'"
+
+
+@contextmanager
+def frozen_node(tank: NodeProgram, folder: Path) -> Iterator[tuple[NodeProgram, Any, Any, Path]]:
+    """A node that is frozen, the server and a client of a control room that follows it, and its audit log."""
+    from zenostat.views.room.app import RoomSettings
+
+    file = folder / "audit.jsonl"
+    with (
+        NodeProgram(folder / "second", connect=[tank.endpoint], plant=TANK, name="second") as node,
+        control_room(tank.endpoint, settings=RoomSettings(audit_log=file)) as server,
+        httpx.Client(base_url=server.url, headers={"origin": server.url}, timeout=120) as client,
+    ):
+        token = server.link.partition("#token=")[2]
+        assert client.post("/api/session", json={"token": token}).is_success
+        until(lambda: client.get("/api/nodes/second").status_code == 200, "the room follows it")
+        node.process.send_signal(signal.SIGSTOP)
+        try:
+            yield node, server, client, file
+        finally:
+            node.process.send_signal(signal.SIGCONT)
+
+
+def pauses(file: Path) -> list[dict[str, Any]]:
+    """Lines of an audit log about pauses."""
+    return [entry for line in file.read_text().splitlines() if (entry := json.loads(line))["operation"] == "pause"]
+
+
+def test_room__change_that_is_not_answered_in_time_is_not_rejected(tank: NodeProgram, scratch: Path) -> None:
+    with (
+        zenostat.connect(tank.endpoint, affinity="off") as bus,
+        frozen_node(tank, scratch) as (node, server, client, file),
+    ):
+        server.room._bus.timeout_s = 0.5
+        answer = client.post("/api/nodes/second/pause", json={})
+        text = "node 'second' has not answered within 0.5 s; it may be carried out all the same"
+        assert (answer.status_code, answer.json()["message"]) == (504, text)
+        assert [(each["accepted"], each["outcome"]) for each in pauses(file)] == [(None, "requested"), (None, text)]
+        node.process.send_signal(signal.SIGCONT)
+        until(lambda: bus.status("second").paused, "it is carried out")
+
+
+def test_room__change_that_waits_when_the_room_ends_is_in_the_audit_log(
+    tank: NodeProgram, scratch: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with frozen_node(tank, scratch) as (_, server, client, file), ThreadPoolExecutor() as threads:
+        pending = threads.submit(client.post, "/api/nodes/second/pause", json={})
+        until(lambda: pauses(file), "it is sent")
+        server.stop()
+        text = "the control room ended before node 'second' answered; it may be carried out all the same"
+        assert (pending.result().status_code, pending.result().json()["message"]) == (504, text)
+        assert [(each["accepted"], each["outcome"]) for each in pauses(file)] == [(None, "requested"), (None, text)]
+    assert "Traceback" not in capfd.readouterr().err
 
 
 def test_room__fault_plan_is_the_nodes_whoever_has_set_it(client: Any, tank: NodeProgram) -> None:

@@ -5,7 +5,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ pytest.importorskip("uvicorn")
 import httpx
 
 from zenostat.views.room.app import RoomSettings
-from zenostat.views.room.audit import AuditLog
+from zenostat.views.room.audit import AuditLog, Unanswered
 from zenostat.views.room.scenario_program import ScenarioProgram
 from zenostat.views.room.started_nodes import StartedNodes
 from zenostat.views.room.updates import Updates
@@ -240,14 +240,49 @@ def test_audit_log__no_change_is_made_while_entries_cannot_be_written() -> None:
         return "done"
 
     async def changes() -> None:
-        assert await log.attempt("ada", "write", "office", change) == "done"  # the disk has become full
         for _ in range(2):
             with pytest.raises(RequestRejected, match="nothing was changed, since the audit log cannot be written"):
                 await log.attempt("ada", "write", "office", change)
 
     asyncio.run(changes())
-    assert changed == [1]
-    assert [entry["accepted"] for entry in log.entries()] == [True, False, False]
+    assert changed == []
+    assert [entry["accepted"] for entry in log.entries()] == [False, False]
+    log.close()
+
+
+@pytest.mark.parametrize(
+    ("error", "accepted", "text"),
+    [
+        (None, True, "pump = 20 W"),
+        (RequestRejected("it is locked"), False, "it is locked"),
+        (ValueError("a mistake"), False, "ValueError: a mistake"),
+        (Unanswered("no answer within 30 s; it may be carried out all the same"), None, "no answer within 30 s"),
+        (asyncio.CancelledError(), None, "the control room ended before the answer; it may be carried out"),
+    ],
+)
+async def test_audit_log__change_has_an_entry_before_it_is_made_and_then_its_outcome(
+    tmp_path: Path, error: BaseException | None, text: str, *, accepted: bool | None
+) -> None:
+    file = tmp_path / "audit.jsonl"
+    log, request = AuditLog(Updates(), file), b'{"point":"pump","value":20.123456789,"duration_s":61}'
+
+    def lines() -> list[dict[str, Any]]:
+        return [json.loads(line) for line in file.read_text().splitlines()]
+
+    async def change() -> str:
+        (entry,) = lines()
+        assert (entry["accepted"], entry["outcome"], entry["request"]) == (None, "requested", request.decode())
+        if error is not None:
+            raise error
+        return text
+
+    with nullcontext() if error is None else pytest.raises(type(error)):
+        assert await log.attempt("ada", "write", "office", change, request) == text
+    log.add("eve", "sign in", "", "signed in", accepted=True)
+    requested, outcome, _ = lines()
+    assert (outcome["accepted"], text in outcome["outcome"]) == (accepted, True)
+    assert all(outcome[name] == requested[name] for name in ("id", "operator", "operation", "target", "request"))
+    assert [each["outcome"] for each in log.entries()] == [outcome["outcome"], "signed in"]
     log.close()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import re
+import threading
 import time
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Mapping
@@ -26,6 +27,7 @@ from zenostat.topics.errors import (
     BusError,
     InvalidConfig,
     NameInUse,
+    NodeLost,
     PeerError,
     RequestRejected,
     UsageError,
@@ -34,7 +36,7 @@ from zenostat.topics.errors import (
 from zenostat.topics.keys import Role
 from zenostat.views.room.access import Access, Guard, Session, check_name_of, operator_of
 from zenostat.views.room.audit import TOPIC as AUDIT
-from zenostat.views.room.audit import AuditLog
+from zenostat.views.room.audit import AuditLog, Unanswered
 from zenostat.views.room.builder import Builder
 from zenostat.views.room.bus_watch import BusWatch
 from zenostat.views.room.dashboards import (
@@ -68,6 +70,8 @@ _MAX_PENDING = 8
 """Largest number of requests of pages that wait for one node: one that is frozen must not stop the others."""
 _TURN_S = 2.0
 """Time that a query of a dashboard, which has many panels, waits until less than so many requests are pending."""
+_GRACE_S = 1.0
+"""Time that requests to nodes have when the control room ends; then they end without an answer."""
 _THREADS = 64
 """Threads for requests that wait: for several frozen nodes at a time."""
 
@@ -115,7 +119,7 @@ class Room:
     """The application of a control room; `asgi` serves it.
 
     Args:
-        bus: connection to the bus, which the caller closes after the application has ended.
+        bus: connection to the bus, which the caller closes after the application has ended; see `end`.
         access: who may use it.
         address: of the page, for links.
         settings: what pages may do besides operating nodes.
@@ -132,6 +136,7 @@ class Room:
         self._settings = settings
         self._bus, self._access, self._address = bus, access, address
         self._watch: BusWatch | None = None
+        self._is_ending, self._give_up = False, threading.Timer(_GRACE_S, bus.close)
         self._histories = HistoryCache(bus)
         self._pending: Counter[str] = Counter()
         routes = [
@@ -182,10 +187,17 @@ class Room:
         try:
             yield
         finally:
+            self._give_up.cancel()
             for part in (self._builder, self._training_pages, self.nodes):
                 await asyncio.to_thread(part.close)
             await asyncio.to_thread(self._watch.close)
             self.audit.close()
+
+    def end(self) -> None:
+        """End the streams; close the bus a second later if requests still wait for nodes then."""
+        self._is_ending = True
+        self.updates.close()
+        self._give_up.start()
 
     def link(self, operator: str) -> str:
         """Return an address that signs one browser in as this operator."""
@@ -315,10 +327,21 @@ class Room:
 
         async def change() -> str:
             operation = read_operation(name, body)
-            return await self._call(watch, lambda: operation.run(self._bus, watch.node, operator))
+            try:
+                return await self._call(watch, lambda: operation.run(self._bus, watch.node, operator))
+            except PeerError as error:
+                if type(error) is not PeerError:  # the node's answer
+                    raise
+                problem = f"node {watch.node!r} has not answered within {self._bus.timeout_s:g} s"
+            except BusError as error:
+                if not (self._is_ending or isinstance(error, NodeLost)):
+                    raise
+                end = "the control room ended" if self._is_ending else "it left the bus"
+                problem = f"{end} before node {watch.node!r} answered"
+            raise Unanswered(f"{problem}; it may be carried out all the same")
 
         try:
-            text = await self.audit.attempt(operator, name, watch.node, change)
+            text = await self.audit.attempt(operator, name, watch.node, change, body)
         finally:
             watch.refresh()
         return JSONResponse({"text": text})
@@ -394,7 +417,14 @@ def _json(content: Any) -> Response:
 _LONG = re.compile(r"([^\s']{300})[^\s']+")
 """A long word of an error, such as a name that somebody has made up: it is cut."""
 
-_STATUS = ((NameInUse, 409), (RequestRejected, 409), (UsageError, 400), (BusError, 404), (PeerError, 502))
+_STATUS = (
+    (Unanswered, 504),
+    (NameInUse, 409),
+    (RequestRejected, 409),
+    (UsageError, 400),
+    (BusError, 404),
+    (PeerError, 502),
+)
 
 
 async def _failure(_: Request, error: Exception) -> Response:

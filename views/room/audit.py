@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import json
 import os
+import secrets
 import sys
 import threading
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Awaitable, Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from zenostat.topics.errors import InvalidConfig, RequestRejected, ZenostatError
+from zenostat.topics.errors import InvalidConfig, PeerError, RequestRejected, ZenostatError
 from zenostat.views.room.numbers import to_json
 from zenostat.views.room.updates import Updates
 
@@ -29,8 +30,14 @@ _MAX_UNWRITTEN = 1 << 20
 """Bytes that are kept while the file cannot be written; what comes later are refusals."""
 
 
+class Unanswered(PeerError):
+    """A change whose outcome is not known: it may have been carried out, or be carried out later."""
+
+
 class AuditLog:
-    """Changes in the order in which they were answered; thread-safe.
+    """Changes in the order in which they were requested; thread-safe.
+
+    A change that takes a while has two lines of the file, with the same `id`: one before it is made, and its outcome.
 
     Args:
         updates: receives the latest entries.
@@ -45,8 +52,7 @@ class AuditLog:
         self._updates, self._clock, self._lock = updates, clock, threading.Lock()
         self._denied: Counter[str] = Counter()
         self._minute = 0
-        self._entries: deque[dict[str, Any]] = deque(maxlen=_KEPT)
-        self._number = 0
+        self._entries: dict[str, dict[str, Any]] = {}
         self._unwritten = b""
         try:
             # Each entry is one write to the end of the file, which a rotation may move.
@@ -66,23 +72,27 @@ class AuditLog:
 
         What cannot be written to the file is kept, and written before any other change is made; see `attempt`.
         """
-        entry = {
-            "time": datetime.now(UTC).isoformat(timespec="milliseconds"),
-            "operator": operator,
-            "operation": operation,
-            "target": target,
-            "accepted": accepted,
-            "outcome": outcome[:_MAX_TEXT],
-        }
+        self._set(_entry(operator, operation, target), outcome, accepted=accepted)
+
+    def _set(self, entry: dict[str, Any], outcome: str, *, accepted: bool | None) -> str:
+        """Set the outcome of a change, and write it; return why it cannot be written, or "".
+
+        `accepted` None: it is not known whether it was carried out.
+        """
+        entry = entry | {"accepted": accepted, "outcome": outcome[:_MAX_TEXT]}
         with self._lock:
-            self._number += 1
-            self._entries.append(entry | {"number": self._number})
+            self._entries[entry["id"]] = entry
+            if len(self._entries) > _KEPT:
+                del self._entries[next(iter(self._entries))]
+            problem = ""
             if self._file is not None and len(self._unwritten) < _MAX_UNWRITTEN:
-                self._unwritten += json.dumps(entry).encode() + b"\n"
-                if problem := self._write():
+                self._unwritten += json.dumps(entry | {"time": _now()}).encode() + b"\n"
+                problem = self._write()
+                if problem:
                     sys.stderr.write(f"the audit log cannot be written: {problem}\n")
-            latest = [*self._entries][-_SENT:]
+            latest = [*self._entries.values()][-_SENT:]
         self._updates.publish(TOPIC, to_json({"entries": latest}))
+        return problem
 
     def add_denied(self, operator: str, operation: str, target: str, reason: str) -> None:
         """Add an attempt that the role of its user does not permit, of one user at most 20 in a minute.
@@ -110,33 +120,41 @@ class AuditLog:
             return error.strerror or str(error)
         return ""
 
-    def _check(self) -> None:
-        """Raise `RequestRejected` if earlier entries cannot be written."""
-        with self._lock:
-            problem = self._write()
-        if problem:
-            raise RequestRejected(f"nothing was changed, since the audit log cannot be written: {problem}")
+    async def attempt(
+        self, operator: str, operation: str, target: str, change: Callable[[], Awaitable[str]], request: bytes = b""
+    ) -> str:
+        """Add a change, make it, set its outcome, and return its answer.
 
-    async def attempt(self, operator: str, operation: str, target: str, change: Callable[[], Awaitable[str]]) -> str:
-        """Make a change, add it with its outcome, and return its answer; arguments as of `add`.
+        Args:
+            operator: name of the user.
+            operation: the change, as in its address.
+            target: of the change.
+            change: makes it, and returns its answer; not called if the entry cannot be written.
+            request: content of the change, as it was received.
 
         Raises:
-            ZenostatError: the change was rejected, which is added as well, like any other error.
+            ZenostatError: the change was rejected, or is `Unanswered`, which is its outcome, like any other error.
         """
+        entry = _entry(operator, operation, target, request)
+        problem = self._set(entry, "requested", accepted=None)
+        outcome, accepted = "the control room ended before the answer; it may be carried out", None
         try:
-            self._check()
-            text = await change()
+            if problem:
+                raise RequestRejected(f"nothing was changed, since the audit log cannot be written: {problem}")
+            outcome = await change()
+            accepted = True
         except Exception as error:
-            text = str(error) if isinstance(error, ZenostatError) else f"{type(error).__name__}: {error}"
-            self.add(operator, operation, target, text, accepted=False)
+            outcome = str(error) if isinstance(error, ZenostatError) else f"{type(error).__name__}: {error}"
+            accepted = None if isinstance(error, Unanswered) else False
             raise
-        self.add(operator, operation, target, text, accepted=True)
-        return text
+        finally:
+            self._set(entry, outcome, accepted=accepted)
+        return outcome
 
     def entries(self) -> list[dict[str, Any]]:
         """Return the latest entries, the newest one last."""
         with self._lock:
-            return [*self._entries]
+            return [*self._entries.values()]
 
     def close(self) -> None:
         """Close the file."""
@@ -144,3 +162,19 @@ class AuditLog:
             if self._file is not None:
                 os.close(self._file)
                 self._file = None
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+def _entry(operator: str, operation: str, target: str, request: bytes = b"") -> dict[str, Any]:
+    """Return an entry without its outcome."""
+    return {
+        "time": _now(),
+        "id": secrets.token_hex(8),
+        "operator": operator,
+        "operation": operation,
+        "target": target,
+        "request": request[:_MAX_TEXT].decode(errors="replace"),
+    }

@@ -25,7 +25,7 @@ class RoomServer(HttpServer):
     """A listening socket, and the control room on it: on the loopback interface, or over a network with TLS.
 
     Args:
-        bus: connection to the bus; the caller closes it after this.
+        bus: connection to the bus; the caller closes it after this, and the end of this while requests wait for nodes.
         address: `HOST:PORT`; port 0 chooses a free one.
         operator: name of the user of the first link, the source of this user's changes.
         api_token: token of programs that read metrics and histories; None closes these.
@@ -80,7 +80,7 @@ class RoomServer(HttpServer):
             listening.close()
             raise
         self.link = self.room.link(operator)
-        super().__init__(listening, url, LoopbackServer(self.room.asgi, self.room.updates.close, **tls_settings))
+        super().__init__(listening, url, LoopbackServer(self.room.asgi, self.room.end, **tls_settings))
 
 
 class _TlsProtocol(BoundedH11):

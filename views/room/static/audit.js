@@ -4,6 +4,15 @@ import { fill, h } from "./dom.js";
 import { words } from "./format.js";
 import { address, link } from "./view.js";
 
+/** The content of a request in words; its text if it is not JSON. */
+function requestText(text) {
+  try {
+    return Object.entries(JSON.parse(text)).map(([name, value]) => `${words(name)} ${JSON.stringify(value)}`).join(", ");
+  } catch { return text; }
+}
+
+const KINDS = new Map([[true, null], [false, "worse"], [null, "warm"]]);
+
 export class AuditPage {
   constructor(root) {
     this.rows = h("tbody");
@@ -20,8 +29,8 @@ export class AuditPage {
   show(entries) {
     this.empty.hidden = entries.length > 0;
     fill(this.rows, [...entries].reverse().map((entry) => h("tr", {},
-      h("td", {}, h("time", { datetime: entry.time }, `${entry.time.slice(0, 19).replace("T", " ")} UTC`)), h("td", {}, entry.operator), h("td", {}, words(entry.operation)),
+      h("td", {}, h("time", { datetime: entry.time }, `${entry.time.slice(0, 19).replace("T", " ")} UTC`)), h("td", {}, entry.operator), h("td", {}, words(entry.operation), entry.request && h("p", { class: "muted" }, requestText(entry.request))),
       h("td", {}, ["invite", "save scenario", "make report"].includes(entry.operation) || !entry.target ? entry.target : h("a", { href: address({ node: entry.target }, false), onclick: (event) => link(event, { node: entry.target }) }, entry.target)),
-      h("td", { class: entry.accepted ? null : "worse" }, entry.outcome))));
+      h("td", { class: KINDS.get(entry.accepted) }, entry.outcome === "requested" ? "requested; not answered yet" : entry.outcome))));
   }
 }
