@@ -570,6 +570,29 @@ def test_chart__values_of_each_unit_are_within_their_scale(ada: Visitor, room: A
         assert high - low < 2 * (values[2] - values[0])
 
 
+SINGLE = """async (module) => {
+    const { chart } = await import(module), root = document.createElement("div");
+    document.body.append(root);
+    const series = [{ label: "air", unit: "degC", color: "#2878dc", values: [20] }];
+    const plot = chart(root, { time: [1e9], series });
+    await new Promise(requestAnimationFrame);
+    const at = (value, scale) => Math.round(plot.valToPos(value, scale, true));
+    const isMarked = plot.ctx.getImageData(at(1e9, "x"), at(20, "unit degC"), 1, 1).data[3] > 0;
+    const single = [plot.scales.x.min, plot.scales.x.max, isMarked];
+    plot.setData([[1e9, 1e9 + 600], [20, 21]]);
+    await new Promise(requestAnimationFrame);
+    return [single, [plot.scales.x.min, plot.scales.x.max]];
+}"""
+
+
+def test_chart__single_sample_is_marked_on_an_axis_of_an_hour(ada: Visitor, room: Any) -> None:
+    page = ada.open(room.url)
+    page.locator(".card").first.wait_for()
+    single, two = page.evaluate(SINGLE, f"{room.url}/static/trends.js")
+    assert single == [1e9 - 1800, 1e9 + 1800, True]
+    assert two == [1e9, 1e9 + 600]
+
+
 def test_chart__axis_of_people_has_whole_numbers(ada: Visitor, room: Any) -> None:
     page = ada.open(room.url)
     page.locator(".card").first.wait_for()

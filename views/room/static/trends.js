@@ -49,8 +49,8 @@ export function chart(root, { time, series, band = null, height = 260, onZoom = 
       label: unit || undefined, labelFont: font, labelSize: 18, labelGap: 0,
     })),
   ];
-  const around = isTime ? 1800 : 1;  // of a single sample
-  const scales = { x: { time: isTime, range: (_, from, to) => range ?? (from !== null && from === to ? [from - around, to + around] : [from, to]) } };
+  const around = isTime ? 1800 : 1, isSingle = (plot) => plot.data[0].length === 1;
+  const scales = { x: { time: isTime, range: (plot, from, to) => range ?? (isSingle(plot) ? [plot.data[0][0] - around, plot.data[0][0] + around] : [from, to]) } };
   for (const unit of units) {
     scales[scaleOf(unit)] = { range: (_, least, most) => {
       if (least === null) return [0, 1];
@@ -67,7 +67,7 @@ export function chart(root, { time, series, band = null, height = 260, onZoom = 
     focus: { alpha: 0.35 },
     series: [{}, ...series.map((each) => ({
       label: each.label, scale: scaleOf(each.unit), stroke: each.color, width: each.width ?? 1.6, dash: each.dash,
-      points: { show: each.dots ?? false, size: 5 }, spanGaps: each.gaps ?? false, paths: each.stepped ? uPlot.paths.stepped({ align: -1 }) : undefined,
+      points: { show: each.dots ?? isSingle, size: 5 }, spanGaps: each.gaps ?? false, paths: each.stepped ? uPlot.paths.stepped({ align: -1 }) : undefined,
       value: (_, value) => withUnit(value, each.unit),
     }))],
     hooks: {
