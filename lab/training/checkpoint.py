@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 import pickle
 import random
 import shutil
@@ -71,8 +70,8 @@ class Checkpoint:
             The path.
         """
         folder.mkdir(parents=True, exist_ok=True)
-        path, temporary = folder / f"{_PREFIX}{self.step:012d}", folder / f".{os.getpid()}.new"
-        shutil.rmtree(temporary, ignore_errors=True)
+        path, temporary = folder / f"{_PREFIX}{self.step:012d}", folder / ".new"
+        shutil.rmtree(temporary, ignore_errors=True)  # of a process that was killed
         temporary.mkdir()
         try:
             (temporary / MODEL).write_bytes(self.model)

@@ -2,6 +2,8 @@
 
 import json
 import math
+import subprocess
+import sys
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -27,6 +29,7 @@ from zenostat.agent_sdk.controllers.parameters import ControllerMismatch  # noqa
 from zenostat.agent_sdk.envs.sb3_vec_env import as_sb3  # noqa: E402
 from zenostat.lab.evaluate import evaluate, run_episode  # noqa: E402
 from zenostat.lab.training import ALGORITHMS, load_policy, read_training, resume_training, train  # noqa: E402
+from zenostat.lab.training.checkpoint import Checkpoint  # noqa: E402
 from zenostat.lab.training.horizon import horizon_warning, scale_warning  # noqa: E402
 from zenostat.lab.training.parameters import make_model  # noqa: E402
 from zenostat.lab.training.run import check_training  # noqa: E402
@@ -127,6 +130,28 @@ def test_training__what_earlier_episodes_have_left_is_resumed(
     changes = {"arguments": arguments, "wrappers": wrappers, "slots": slots, "checkpoint_steps": 70}
     changes |= {"normalization": {"rewards": False}, "evaluation": False}
     check_resumed(lambda output: fields("a2c", output, **changes), tmp_path)
+
+
+KILLED = """
+import os
+import sys
+from pathlib import Path
+from zenostat.lab.training.checkpoint import Checkpoint
+
+class Kill:
+    def __reduce__(self):
+        os._exit(9)
+
+Checkpoint(4, b"model", b"", "", {"pickled": Kill()}).write(Path(sys.argv[1]))
+"""
+
+
+def test_checkpoint__what_a_killed_process_has_left_is_removed(tmp_path: Path) -> None:
+    killed = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], check=False)
+    assert killed.returncode == 9
+    assert len([*tmp_path.iterdir()]) == 1
+    Checkpoint(5, b"model", b"", "", {}).write(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["step-000000000005"]
 
 
 def test_training__is_not_resumed_with_another_scenario_file(tmp_path: Path) -> None:
