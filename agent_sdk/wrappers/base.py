@@ -188,7 +188,10 @@ class WrapperLogic:
         return start.observations
 
     def act(self, slots: list[int], actions: Values) -> Values:  # noqa: ARG002  # most do not need the slots
-        """Return the actions for the wrapped environment."""
+        """Return the actions for the wrapped environment.
+
+        It may refuse them, and simulate nothing: the state moves in `step`, so that a refused action leaves no trace.
+        """
         return actions
 
     def step(self, step: StepBatch) -> tuple[Values, Values]:

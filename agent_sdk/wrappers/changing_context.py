@@ -81,28 +81,31 @@ def _read_schedule(schedule: Mapping[str, Context] | Schedule, label: str) -> Sc
 
 
 class _Program:
-    """Changes of the context of one slot.
+    """Changes of the context of one slot, in an episode.
 
     Args:
         schedule: gives the values at a time.
         random: generator of the schedule.
-        values: values that were set so far; a call adds to them.
+        values: values that are set already.
+
+    Attributes:
+        begin, changes: the timestep that was begun last, and its changes.
     """
 
-    def __init__(self, schedule: Schedule, random: np.random.Generator, values: dict[str, float | None]) -> None:
-        self._schedule, self._random, self._values = schedule, random, values
+    def __init__(self, schedule: Schedule, random: np.random.Generator, values: Context) -> None:
+        self._schedule, self._random, self._values = schedule, random, dict(values)
+        self.begin: datetime | None = None
+        self.changes: Context = {}
 
     def __call__(self, time: datetime) -> Context:
-        """Return the changes for the timestep that begins at that time, which follows that of the previous call."""
-        changes = self.changes(time)
-        self._values |= changes
-        return changes
-
-    def changes(self, time: datetime) -> Context:
-        """Return the values at that time that were not set already."""
-        context, values = self._schedule(time, self._random), self._values
-        _values_by_actuator(context, f"ChangingContext: the schedule returned at {time}")
-        return {name: value for name, value in context.items() if name not in values or values[name] != value}
+        """Return the changes for the timestep that begins at that time: again the same, if its action was refused."""
+        if time != self.begin:
+            self._values |= self.changes
+            context, values = self._schedule(time, self._random), self._values
+            _values_by_actuator(context, f"ChangingContext: the schedule returned at {time}")
+            changes = {name: value for name, value in context.items() if name not in values or values[name] != value}
+            self.begin, self.changes = time, changes
+        return self.changes
 
 
 class _Logic(WrapperLogic):
@@ -112,38 +115,36 @@ class _Logic(WrapperLogic):
         self._schedule = _read_schedule(schedule, view.wrapper_name)
         self._randoms = SlotRandomStreams(view.env, view.wrapper_name, view.slots)
         self._now: dict[int, datetime] = {}
-        self._set: list[dict[str, float | None]] = [{} for _ in range(view.slots)]
+        self._programs: dict[int, _Program] = {}
 
     def start(self, start: ResetBatch) -> Values:
         self._randoms.seed(start.slots, start.seeds)
+        values: list[Context] = [{} for _ in start.slots]
         for row, slot in enumerate(start.slots):
-            self._now[slot], self._set[slot] = start.infos.time(row), {}
-        # A caller's own context after the reset replaces that of a table. A function draws once for each timestep,
-        # and at a snapshot only after its random generator has been restored.
-        if isinstance(self._schedule, _TimeTable):
-            self._apply(start.slots)
+            now = self._now[slot] = start.infos.time(row)
+            # A caller's own context after the reset replaces that of a table. A function draws once for each timestep,
+            # and at a snapshot only after its random generator has been restored.
+            if isinstance(self._schedule, _TimeTable):
+                values[row] = self._schedule(now, self._randoms[slot])
+            self._programs[slot] = _Program(self._schedule, self._randoms[slot], values[row])
+        self._set(start.slots, values)
         return start.observations
 
     def act(self, slots: list[int], actions: Values) -> Values:
-        self._apply(slots)
+        started = [slot for slot in slots if slot in self._programs]  # before the first reset, none
+        self._set(started, [self._programs[slot](self._now[slot]) for slot in started])
         return actions
 
-    def _apply(self, slots: list[int]) -> None:
-        changes = [self._program(slot).changes(self._now[slot]) for slot in slots]
+    def _set(self, slots: list[int], changes: Sequence[Context]) -> None:
         if any(changes):
             self.view.call_each(slots, "set_context", changes)
-        for slot, values in zip(slots, changes, strict=True):
-            self._set[slot] |= values
-
-    def _program(self, slot: int) -> _Program:
-        return _Program(self._schedule, self._randoms[slot], self._set[slot])
 
     def context_program(self) -> _Program | None:
         """Return what sets the context of a branch: a copy of the schedule, with the state of its generator."""
-        if self.view.vector or not self._now:
+        if self.view.vector or not self._programs:
             return None
         try:
-            return copy.deepcopy(self._program(0))
+            return copy.deepcopy(self._programs[0])
         except Exception as error:
             warnings.warn(
                 f"{self.view.wrapper_name}: branches keep the present context, because the schedule cannot be copied: "
@@ -157,11 +158,22 @@ class _Logic(WrapperLogic):
         return step.observations, step.rewards
 
     def get_state(self) -> list[dict[str, Any]]:
-        """Return the random generators' state; each episode starts with nothing set."""
-        return self._randoms.get_state()
+        """Return the random generators' state, and the changes of a timestep whose action was refused.
+
+        Each episode starts with nothing set.
+        """
+        states = self._randoms.get_state()
+        for slot, program in self._programs.items():
+            if program.begin == self._now[slot]:
+                states[slot]["changes"] = dict(program.changes)
+        return states
 
     def set_state(self, slots: Sequence[Mapping[str, Any]]) -> None:
         self._randoms.set_state(slots)
+        for slot, program in self._programs.items():
+            program.begin = None
+            if "changes" in slots[slot]:
+                program.begin, program.changes = self._now[slot], slots[slot]["changes"]
 
 
 class ChangingContext(BuildingWrapper):

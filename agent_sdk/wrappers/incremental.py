@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
-from zenostat.agent_sdk.wrappers.base import EnvView, ResetBatch, Values, WrapperLogic
+from zenostat.agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic
 from zenostat.agent_sdk.wrappers.gymnasium_wrappers import Trait, wrappers_with
 from zenostat.agent_sdk.wrappers.names import indices_of, reject_wrappers, require_mapping
 from zenostat.topics.arrays import Floats
@@ -58,6 +58,7 @@ class _IncrementalLogic(WrapperLogic):
         self._initial = np.array(list(initial.values()), np.float64)
         self._check(initial)
         self._values = np.tile(self._initial, (view.slots, 1))
+        self._moved = self._values.copy()
 
     def _check(self, initial: Mapping[str, float]) -> None:
         inside = (self._initial >= self.low) & (self._initial <= self.high)
@@ -75,11 +76,15 @@ class _IncrementalLogic(WrapperLogic):
         return start.observations
 
     def move(self, slots: list[int], increments: Floats) -> NDArray[np.float32]:
-        """Add the increments and return the values, shape (rows, named actions)."""
-        self._values[slots] = incremented(self._values[slots], increments, self.low, self.high)
+        """Return the values after the increments, shape (rows, named actions); `step` keeps them."""
+        moved = self._moved[slots] = incremented(self._values[slots], increments, self.low, self.high)
         # Clip after the conversion to float32: rounding may exceed a bound that is not a float32.
-        values = self._values[slots].astype(np.float32)
-        return np.clip(values, self.inner.low[self.indices], self.inner.high[self.indices])
+        return np.clip(moved.astype(np.float32), self.inner.low[self.indices], self.inner.high[self.indices])
+
+    @override
+    def step(self, step: StepBatch) -> tuple[Values, Values]:
+        self._values[step.slots] = self._moved[step.slots]
+        return step.observations, step.rewards
 
     @override
     def get_state(self) -> list[dict[str, Any]]:

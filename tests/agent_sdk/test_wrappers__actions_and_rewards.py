@@ -16,6 +16,8 @@ from zenostat.agent_sdk.testing.fake_vector_env import FakeVectorEnv
 from zenostat.agent_sdk.wrappers.incremental import rounded
 from zenostat.topics.errors import EpisodeChanged, InvalidAction, InvalidConfig
 
+HELD = {"zone_1_heating_setpoint": 18.0, "zone_1_cooling_setpoint": 26.0}
+
 # Actions
 
 
@@ -29,6 +31,25 @@ def test_wrappers__incremental_action_by_hand() -> None:
             env.step(np.array([18.0, increment], np.float32))
         assert bare.commands == [[18.0, value] for value in (29.25, 30.0, 30.0, 30.0, 29.75)]
     assert env.get_state() == {"slots": [{"values": [29.75]}]}
+
+
+def test_incremental_action__vector_step_that_is_refused_moves_nothing() -> None:
+    """Slot 0 has reached its end and slot 1, which was reset at noon, goes on."""
+    building = FakeVectorEnv(2, autoreset_mode="Disabled", zones=1, begin="07-03", end="07-03", steps_per_hour=1)
+    env = w.IncrementalAction(building, dict.fromkeys(building.action_names, 1.0), HELD)
+    none, half = (np.full((2, 2), increment, np.float32) for increment in (0.0, 0.5))
+    env.reset(seed=1)
+    for hour in range(24):
+        if hour == 12:
+            env.reset(options={"reset_mask": np.array([False, True])})
+        env.step(none)
+    for _ in range(3):
+        with pytest.raises(EpisodeChanged, match="the episode is over in slots 0"):
+            env.step(half)
+    env.reset(options={"reset_mask": np.array([True, False])})
+    for moved in (0.0, 0.5):
+        info = env.step(none + np.float32(moved))[4]
+        assert info["action"].tolist() == [[value + moved for value in HELD.values()]] * 2
 
 
 def test_wrappers__rounding_is_half_to_even_and_none_without_a_step() -> None:
@@ -182,6 +203,36 @@ def test_random_context__depends_on_the_seed() -> None:
     seen = [[info["effective"][2] for *_, info in episode(env, lambda: MIDDLE, seed)[1:]] for seed in (1, 1, 2)]
     assert seen[0] == seen[1] != seen[2]
     assert len(set(seen[0])) == 24
+
+
+@pytest.mark.parametrize("slots", [0, 2])
+def test_changing_context__action_that_is_refused_leaves_no_trace(slots: int) -> None:
+    calls: list[datetime] = []
+
+    def draw(time: datetime, random: np.random.Generator) -> dict[str, float | None]:
+        calls.append(time)
+        return {"equipment": float(random.random())}
+
+    form: dict[str, Any] = {"zones": 1, "equipment_control": True, "actions": {"cooling": ["zone_1_cooling_setpoint"]}}
+    seen = []
+    for is_refused in (False, True):
+        env: Any = w.ChangingContext(FakeVectorEnv(slots, **form) if slots else FakeEnv(**form), draw)
+        action = np.full(env.action_space.shape, 26.0, np.float32)
+        with pytest.raises(EpisodeChanged, match=r"call reset\(\) before step\(\)"):
+            env.step(action)
+        env.reset(seed=4)
+        seen.append([])
+        for step in range(4):
+            state = env.get_state()
+            for _ in range(2 * is_refused):
+                with pytest.raises(InvalidAction):
+                    env.step(action + 99.0)
+            if step % 2:  # the state that a refused action leaves continues as well
+                state = env.get_state()
+            env.set_state(state)
+            seen[-1].append(env.step(action)[4]["effective"].tolist())
+    assert seen[0] == seen[1]
+    assert len({str(values) for values in seen[0]}) == 4
 
 
 @pytest.mark.parametrize("values", [3, None, ["equipment"]])

@@ -12,6 +12,7 @@ from support.csv_files import csv_rows
 from support.nodes import COOLING, SMALL
 
 from zenostat import wrappers as w
+from zenostat.topics.errors import InvalidAction
 
 N = 96
 DRY, HUMIDITY = "dry_bulb_temperature", "relative_humidity"
@@ -148,9 +149,14 @@ def test_branches__continue_the_schedule_of_the_context(building: gym.Env[Any, A
     for _ in range(3):
         env.step(action)
     plan = np.tile(action, (2, 8, 1))
+    with pytest.raises(InvalidAction):  # such a timestep is not simulated, and its context not drawn again
+        env.step(2.0 * action)
     with base.snapshot() as snapshot:  # type: ignore[attr-defined]
         planned, tried = base.plan(plan)[1], base.try_steps(plan)[1]  # type: ignore[attr-defined]
         with base.branch() as branch, base.branch(slots=2) as branches:  # type: ignore[attr-defined]
+            for copied, refused in ((branch, 2.0 * action), (branches, 2.0 * plan[:, 0])):
+                with pytest.raises(InvalidAction):
+                    copied.step(refused)
             single = [branch.step(action)[4]["effective"].tolist() for _ in range(8)]
             stepped = [branches.step(plan[:, 0])[4]["effective"][1].tolist() for _ in range(8)]
         steps = [env.step(action) for _ in range(8)]
