@@ -211,8 +211,6 @@ class Repetition:
 
     def _step(self, order: RecordedOrder) -> None:
         server, exchange, now_s = self._server, self._exchange, monotonic()
-        if exchange.commands.has_expiries:
-            exchange.intake.expire(server.elapsed_s)
         if not exchange.ready_to_step():
             with suppress(EpisodeAborted):
                 exchange.fallback.on_deadline(now_s)

@@ -257,8 +257,6 @@ class NodeServer:
         """Simulate a timestep: send the commands to the plant, publish the sample."""
         exchange = self.exchange
         began_s = monotonic()
-        if exchange.commands.has_expiries:
-            self.publish_events(exchange.intake.expire(self.elapsed_s))
         commands = exchange.begin_step(began_s)
         self.pacing.step_started()
         if self.injection is not None:
@@ -353,11 +351,13 @@ class NodeServer:
         return values
 
     def _account(self, values: bytes) -> list[Event]:
-        """Add the present values to the history, and return the events of the alarms."""
+        """Add the present values to the history, and relinquish what has expired; return the events of the sample."""
         exchange = self.exchange
+        expired = exchange.intake.expire(self.elapsed_s) if exchange.commands.has_expiries else []
         if self.history is not None:
             self.history.add(values, self.plant.effective, exchange.episode, exchange.step)
-        return self.alarms.update(values, exchange.episode, exchange.step) if self.alarms is not None else []
+        alarms = self.alarms.update(values, exchange.episode, exchange.step) if self.alarms is not None else []
+        return [*expired, *alarms]
 
     def _publish_points(self, values: bytes) -> None:
         step = self.exchange.step[0]

@@ -194,6 +194,25 @@ def test_bus__write_that_is_acknowledged_is_in_effect_in_the_next_timestep(clien
     assert sample.sources[np.frombuffer(sample.source_index, "<u2")[index]] == "panel"
 
 
+def test_bus__write_that_ends_with_a_timestep_is_over_at_its_sample(client: Client) -> None:
+    """The sample has its value, and the priorities after it have it no more, however long the node waits there."""
+
+    def sources() -> set[str | None]:
+        return {each.source for each in client.bus.priorities("office")[POINT]} - {None}
+
+    client.claim("c")
+    step_s = client.bus.manifest("office").step_s
+    client.ask(keys.WRITE_REQUEST, POINT, msgpack.packb({"value": 26.5, "duration_s": step_s, "source": "panel"}))
+    assert client.event("panel").kind is EventKind.WRITTEN
+    assert sources() == {"panel"}
+    assert isinstance(client.ask(keys.COMMAND_REQUEST, "c", client.command()), Ack)
+    sample = client.next_sample()
+    assert np.frombuffer(sample.effective)[client.actuators.index(POINT)] == 26.5
+    event = client.event("panel")
+    assert (event.kind, event.step) == (EventKind.EXPIRED, sample.step[0])
+    assert sources() == {"c"}
+
+
 @pytest.mark.slow
 def test_bus__write_acts_in_the_timestep_that_the_next_command_of_its_session_completes(client: Client) -> None:
     """Both are puts, so nothing waits between them: hundreds of pairs, in the order in which they were sent."""
