@@ -268,13 +268,6 @@ class StartedPlant(NodePlant):
         assert self._local is not None
         return connect(self._local.endpoint, affinity=Affinity.OFF)
 
-    def terminate(self) -> None:
-        """Let the process end, without waiting for it; thread-safe."""
-        process = self._process
-        if process is not None:
-            self._is_ending = True
-            process.terminate()
-
     def recover(self) -> None:
         """End a process that has lost its bus, or is about to end."""
         if self._local is not None and (self._is_ending or self._local.has_ended()):
@@ -282,8 +275,11 @@ class StartedPlant(NodePlant):
         self._disconnect()
 
     def interrupt(self) -> None:
-        """End the process, so that pending calls raise; thread-safe."""
-        self.terminate()
+        """Let the process end, without waiting for it, so that pending calls raise; thread-safe."""
+        process = self._process
+        if process is not None:
+            self._is_ending = True
+            process.terminate()
 
     def _end(self) -> None:
         self._disconnect()
