@@ -86,7 +86,8 @@ class AlarmMonitor:
         self._period = plant.run_period
         self._slots, self._width = slots, len(plant.sensors) + len(plant.meters)
         self._columns = np.array([point.column for point in self._points], np.intp)
-        self._of_meter = self._columns >= len(plant.sensors)
+        self._sensors = len(plant.sensors)
+        self._of_meter = self._columns >= self._sensors
         self._has_meters = bool(self._of_meter.any())
         self._occupied = np.array([i for i, point in enumerate(self._points) if point.occupants is not None], np.intp)
         self._occupants = np.array([p.occupants for p in self._points if p.occupants is not None], np.intp)
@@ -131,13 +132,17 @@ class AlarmMonitor:
         """Take the published values of a sample, raw float64 of shape (slots, points); return the events.
 
         A sample that is published again is not evaluated again: that of a slot which waits while others step, and the
-        one of a snapshot. Meters have no timestep at step 0, so that their alarms are evaluated from step 1 on.
+        one of a snapshot. Meters have no timestep at step 0, so that their alarms are evaluated from step 1 on; there,
+        their values are missing for the conditions of other alarms.
         """
         table = np.frombuffer(values).reshape(self._slots, self._width)
         present = self._values = table[:, self._columns]
         # NaN is in no range.
         visit = ~((present >= self._low) & (present <= self._high)) | self._is_pending
         unmeasured = self._of_meter & (np.array(step) == 0)[:, None] if self._has_meters and 0 in step else None
+        if 0 in step:
+            table = table.copy()
+            table[np.array(step) == 0, self._sensors :] = np.nan
         if len(self._occupied) or self._schedules:
             inhibited = _kept(unmeasured, self._inhibited, self._inhibition(table, step))
             visit |= inhibited != self._inhibited

@@ -283,6 +283,18 @@ def test_alarms__operators_decision_prevails_over_shelving_and_conditions() -> N
     assert changes(events) == [("return_to_service", "normal"), ("suppress", "suppressed")]
 
 
+@pytest.mark.parametrize(
+    "when", [{"suppress_when": {"point": "electricity", "below": 1.0}}, {"occupied": "electricity"}]
+)
+def test_conditions__meter_is_missing_before_the_first_timestep(when: dict[str, Any]) -> None:
+    node = Node(WARM | when)
+    (event,) = node.sample(27.0)
+    assert event.alarm.transition is AlarmTransition.TO_OFFNORMAL
+    assert node.state() == {"warm": "active"}
+    node.sample(27.0)  # now it has measured 0 J
+    assert node.state() != {"warm": "active"}
+
+
 def test_a_condition__suppresses_while_it_holds() -> None:
     node = Node(WARM | {"suppress_when": {"point": "core_people", "above": 1.0, "below": 5.0}})
     assert node.sample(27.0, people=1.0)[0].alarm.state is ACTIVE  # the limit itself does not suppress
