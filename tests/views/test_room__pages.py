@@ -404,6 +404,32 @@ def test_point__events_are_its_own_with_their_kind(ada: Visitor, room: Any) -> N
     assert not any("main" in text or "valve_2" in text or "north" in text for text in shown)
 
 
+CONDITION = """async ([module, point, alarm]) => {
+    const { AlarmPanel } = await import(module);
+    return new AlarmPanel(document.createElement("div"), "node", { points: [point] }).condition(alarm);
+}"""
+
+
+@pytest.mark.parametrize(
+    ("unit", "shown", "value", "limit", "expected"),
+    [
+        ("1", {"unit": ""}, 0.123, 0.1, "0.123, high limit 0.1"),
+        ("percent", {"unit": "%"}, 62.5, 50.0, "62.5\u00a0%, high limit 50\u00a0%"),
+        ("degF", {"unit": "°F"}, 70.0, 60.0, "70\u00a0°F, high limit 60\u00a0°F"),
+        ("W", {"unit": "kW", "factor": 1e-3}, 123_457.0, 1000.0, "123\u00a0kW, high limit 1\u00a0kW"),
+        # 10 minutes at 1.5 kW
+        ("J", {"unit": "kW", "factor": 1 / 600e3}, 900e3, 600e3, "1.50\u00a0kW, high limit 1\u00a0kW"),
+    ],
+)
+def test_alarms__values_and_limits_are_in_the_units_of_the_page(
+    ada: Visitor, room: Any, unit: str, shown: dict[str, Any], value: float, limit: float, expected: str
+) -> None:
+    page = ada.open(room.url)
+    page.locator(".card").first.wait_for()
+    alarm = {"point": "p", "unit": unit, "value": value, "high": limit, "event_state": "high_limit"}
+    assert page.evaluate(CONDITION, [f"{room.url}/static/panels.js", {"id": "p", **shown}, alarm]) == expected
+
+
 def test_alarms__missing_value_is_named(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:
     bus.faults("tank", {"faults": [{"kind": "drop", "points": ["level"]}]})
     bus.step("tank")

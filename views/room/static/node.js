@@ -164,7 +164,7 @@ export class NodePage {
     const bodies = Object.fromEntries(TABS.map(([name, text]) => [name, h("div", { class: "scroll", role: "tabpanel", tabindex: "0", "aria-label": text })]));
     this.tabTabs = this.tabs("tab", TABS.map(([name, text]) => [name, text, bodies[name]]));
     grid.append(panel("Operation", { class: "panel tab-panel" }, this.tabTabs.element, Object.values(bodies)));
-    this.alarmPanel = new AlarmPanel(bodies.alarms, this.node);
+    this.alarmPanel = new AlarmPanel(bodies.alarms, this.node, description);
     this.eventPanel = new EventPanel(bodies.events);
     this.controllerPanel = new ControllerPanel(bodies.controllers);
     this.faultPanel = new FaultPanel(bodies.faults, this.node, description);

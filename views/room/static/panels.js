@@ -2,16 +2,17 @@
 
 import { operate, toast } from "./api.js";
 import { fill, h, openDialog, refill, setText } from "./dom.js";
-import { bytes, duration, exact, num, shortTime, withUnit, words } from "./format.js";
+import { bytes, duration, exact, num, shortTime, shown, withUnit, words } from "./format.js";
 import { forOperators, mayChange, refusal, refusalNote } from "./session.js";
 import { change } from "./view.js";
 
 const ORDER = ["active", "returned", "acknowledged", "shelved", "out_of_service", "suppressed"];
 
 export class AlarmPanel {
-  constructor(root, node) {
+  constructor(root, node, description) {
     this.root = root;
     this.node = node;
+    this.points = new Map(description.points.map((point) => [point.id, point]));
     this.list = h("ul", { class: "alarms" });
     this.items = new Map();
     this.text = "";
@@ -19,7 +20,7 @@ export class AlarmPanel {
 
   update(state) {
     const alarms = (state.alarms ?? []).filter((alarm) => alarm.state !== "normal");
-    const text = JSON.stringify([alarms.map((alarm) => ({ ...alarm, value: num(alarm.value, alarm.unit) })), state.alarms?.length]);
+    const text = JSON.stringify([alarms.map((alarm) => ({ ...alarm, value: this.condition(alarm) })), state.alarms?.length]);
     if (text === this.text || this.root.contains(document.activeElement) && document.activeElement.matches("input, select")) return;
     this.text = text;
     alarms.sort((a, b) => ORDER.indexOf(a.state) - ORDER.indexOf(b.state) || (b.raised > a.raised ? 1 : -1));
@@ -39,9 +40,9 @@ export class AlarmPanel {
 
   condition(alarm) {
     const limit = alarm.event_state === "low_limit" ? alarm.low : alarm.high;
-    const unit = alarm.unit === "degC" ? "°C" : alarm.unit;
-    const value = withUnit(alarm.value, unit);
-    return { normal: `${value}, normal again`, fault: "value is missing" }[alarm.event_state] ?? `${value}, ${words(alarm.event_state)} ${exact(limit, unit)}`;
+    const point = this.points.get(alarm.point) ?? { unit: alarm.unit };
+    const value = withUnit(shown(point, alarm.value), point.unit);
+    return { normal: `${value}, normal again`, fault: "value is missing" }[alarm.event_state] ?? `${value}, ${words(alarm.event_state)} ${exact(shown(point, limit), point.unit)}`;
   }
 
   newItem(alarm) {
