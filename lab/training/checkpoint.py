@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
+import os
 import pickle
 import random
 import shutil
+import warnings
 from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -13,6 +15,7 @@ from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
 import numpy as np
 import torch
@@ -82,8 +85,11 @@ class Checkpoint:
             (temporary / STATE).write_bytes(pickle.dumps(self.state))
             if self.replay:
                 np.savez(temporary / REPLAY, **self.replay)  # type: ignore[arg-type]
+            for written in (*temporary.iterdir(), temporary):
+                _sync(written)
             shutil.rmtree(path, ignore_errors=True)  # of the same step: a training that was resumed at its end
             temporary.rename(path)
+            _sync(folder)
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
         for old in checkpoints(folder)[:-_KEPT]:
@@ -91,9 +97,43 @@ class Checkpoint:
         return path
 
 
+def _sync(path: Path) -> None:
+    """Wait until a file or the names in a folder are on the disk, so that a power failure leaves no part of them."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
 def checkpoints(folder: Path) -> list[Path]:
     """Return the checkpoints in a folder, oldest first."""
     return sorted(path for path in folder.glob(f"{_PREFIX}*") if path.is_dir())
+
+
+def last_checkpoint(folder: Path) -> Checkpoint | None:
+    """Return the last checkpoint in a folder that can be read, and remove damaged ones after it, with a warning.
+
+    Returns:
+        None if there is none.
+
+    Raises:
+        InvalidConfig: none of them can be read.
+    """
+    damaged: list[tuple[Path, InvalidConfig]] = []
+    for path in reversed(checkpoints(folder)):
+        try:
+            checkpoint = read_checkpoint(path)
+        except InvalidConfig as error:
+            damaged.append((path, error))
+            continue
+        for unreadable, error in damaged:
+            warnings.warn(f"{error}; it is removed, and the training goes on at step {checkpoint.step:,}", stacklevel=2)
+            shutil.rmtree(unreadable)
+        return checkpoint
+    if damaged:
+        raise InvalidConfig(f"{damaged[0][1]}; {folder} has no other one that can be read: begin a new training")
+    return None
 
 
 def read_checkpoint(path: Path) -> Checkpoint:
@@ -104,6 +144,9 @@ def read_checkpoint(path: Path) -> Checkpoint:
     """
     try:
         normalization, wrappers = path / NORMALIZATION, path / WRAPPERS
+        with ZipFile(path / MODEL) as model:
+            if (damaged := model.testzip()) is not None:
+                raise InvalidConfig(f"{MODEL}: {damaged} is damaged")
         state = pickle.loads((path / STATE).read_bytes())  # noqa: S301  # pickled, as is the model beside it
         replay: dict[str, NDArray[Any]] = {}
         if (path / REPLAY).exists():

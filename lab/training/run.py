@@ -25,7 +25,7 @@ from zenostat.lab.training.checkpoint import (
     Checkpoint,
     capture,
     checkpoints,
-    read_checkpoint,
+    last_checkpoint,
     restore_action_noise,
     restore_environment,
     restore_model,
@@ -131,8 +131,8 @@ def train(
 
     Args:
         config: the training.
-        resume: continue from the last checkpoint in its folder. The result equals, to the bit, that of a training that
-            was not interrupted, on the same machine with the same versions. `steps` may differ.
+        resume: continue from the last checkpoint in its folder that can be read. The result equals, to the bit, that of
+            a training that was not interrupted, on the same machine with the same versions. `steps` may differ.
         progress: called at each step.
         on_evaluation: called after each evaluation, with the training step and the metrics of its episodes.
         on_references: called before the training, with the mean reward of an evaluation episode by reference.
@@ -178,8 +178,7 @@ class _Run:
 
     def train(self, progress: Progress | None, stop: threading.Event, *, resume: bool) -> TrainingResult:
         config, folder, stack = self._config, self._folder, self._stack
-        saved = checkpoints(folder / training_folder.CHECKPOINTS) if resume else []
-        checkpoint = read_checkpoint(saved[-1]) if saved else None
+        checkpoint = last_checkpoint(folder / training_folder.CHECKPOINTS) if resume else None
         if checkpoint is not None and config.steps < min(checkpoint.step, files.read_folder(folder).steps):
             raise InvalidConfig(f"{folder} has {checkpoint.step} steps already; steps={config.steps} would be fewer")
         if config.threads is not None:

@@ -29,7 +29,7 @@ from zenostat.agent_sdk.controllers.parameters import ControllerMismatch  # noqa
 from zenostat.agent_sdk.envs.sb3_vec_env import as_sb3  # noqa: E402
 from zenostat.lab.evaluate import evaluate, run_episode  # noqa: E402
 from zenostat.lab.training import ALGORITHMS, load_policy, read_training, resume_training, train  # noqa: E402
-from zenostat.lab.training.checkpoint import Checkpoint  # noqa: E402
+from zenostat.lab.training.checkpoint import Checkpoint, checkpoints  # noqa: E402
 from zenostat.lab.training.horizon import horizon_warning, scale_warning  # noqa: E402
 from zenostat.lab.training.parameters import make_model  # noqa: E402
 from zenostat.lab.training.run import check_training  # noqa: E402
@@ -130,6 +130,25 @@ def test_training__what_earlier_episodes_have_left_is_resumed(
     changes = {"arguments": arguments, "wrappers": wrappers, "slots": slots, "checkpoint_steps": 70}
     changes |= {"normalization": {"rewards": False}, "evaluation": False}
     check_resumed(lambda output: fields("a2c", output, **changes), tmp_path)
+
+
+def test_training__damaged_checkpoint_is_replaced_by_the_one_before_it(tmp_path: Path) -> None:
+    """The training goes on to the same weights; so does one whose number of steps or interval changes what is kept."""
+    training = fields("a2c", tmp_path, checkpoint_steps=60)
+    train(read_training(training))
+    expected = model_content(tmp_path / "model.zip")
+    before, last = checkpoints(tmp_path / "checkpoints")
+    for file in ("state.pkl", "model.zip"):
+        (last / file).write_bytes((last / file).read_bytes()[:100])
+        (tmp_path / "model.zip").unlink()
+        with pytest.warns(UserWarning, match=rf"{last} is not a checkpoint: .*; it is removed, .* goes on at step 120"):
+            train(read_training(training), resume=True)
+        assert same(model_content(tmp_path / "model.zip"), expected)
+        assert checkpoints(tmp_path / "checkpoints") == [before, last]
+    for path in (before, last):
+        (path / "state.pkl").unlink()
+    with pytest.raises(InvalidConfig, match=rf"{last} is not a checkpoint: .* no other one that can be read"):
+        train(read_training(training), resume=True)
 
 
 KILLED = """
