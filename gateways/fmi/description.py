@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import uuid
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
@@ -15,6 +15,7 @@ from zenostat.topics.messages import Actuator, Manifest
 from zenostat.topics.points import bounds
 from zenostat.topics.units import conversion
 
+_PARAMETERS = ("address", "seed")
 _NAMESPACE = uuid.UUID("5b0bd4d5-6ef4-55c1-9b3a-2f1f7f6b6a0e")
 _SI: dict[str, dict[str, float]] = {
     "K": {"K": 1},
@@ -68,6 +69,8 @@ class Interface:
     Attributes:
         manifest: of the node.
         outputs: sensors and meters; amounts of a timestep, such as those of meters, are mean rates.
+        output_names: names of the outputs' variables: those of the points, with a number where an input or a parameter
+            has that name.
         actuators: the actuators. Each is two inputs: `NAME_u` is its value, and acts while `NAME_activate` is true.
         guid: GUID of the FMU; nodes whose points, timestep and steps are equal have the same one.
     """
@@ -76,6 +79,9 @@ class Interface:
         self.manifest = manifest
         self.outputs: list[Reading] = readings(manifest)
         self.actuators: tuple[Actuator, ...] = manifest.actuators
+        self.output_names = _output_names(
+            [output.name for output in self.outputs], [actuator.name for actuator in self.actuators]
+        )
         content = {
             "outputs": [(output.name, output.unit) for output in self.outputs],
             "actuators": [(actuator.name, actuator.unit, *bounds(actuator)) for actuator in self.actuators],
@@ -145,8 +151,8 @@ class Interface:
             root, "DefaultExperiment", startTime="0.0", stopTime=_text(duration_s), stepSize=_text(manifest.step_s)
         )
         variables = SubElement(root, "ModelVariables")
-        for index, output in enumerate(self.outputs):
-            _variable(variables, output.name, index, "output", "Real", _description(output), unit=output.unit)
+        for index, (name, output) in enumerate(zip(self.output_names, self.outputs, strict=True)):
+            _variable(variables, name, index, "output", "Real", _description(output), unit=output.unit)
         for index, actuator in enumerate(self.actuators, len(self.outputs)):
             attributes = {"unit": actuator.unit, "start": _text(_start(actuator))}
             limits = zip(("min", "max"), bounds(actuator), strict=True)
@@ -167,6 +173,19 @@ class Interface:
         indent(root)
         content: bytes = tostring(root, encoding="UTF-8", xml_declaration=True)
         return content
+
+
+def _output_names(outputs: Sequence[str], actuators: Sequence[str]) -> list[str]:
+    """Return a name for each output that no other variable has."""
+    taken = {*_PARAMETERS, *(f"{name}_{part}" for name in actuators for part in ("u", "activate"))}
+    names = list[str]()
+    for name in outputs:
+        text, number = name, 2
+        while text in taken or (text != name and text in outputs):
+            text, number = f"{name}_{number}", number + 1
+        taken.add(text)
+        names.append(text)
+    return names
 
 
 def _variable(

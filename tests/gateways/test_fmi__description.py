@@ -66,6 +66,14 @@ def test_fmu__points_are_outputs_and_pairs_of_inputs(tmp_path: Path) -> None:
     assert variables["heat"].description == "total of the communication step"
 
 
+def test_fmu__outputs_with_names_of_inputs_or_parameters_are_numbered(tmp_path: Path) -> None:
+    names = ("seed", "address", "a_u", "a_u_2", "a_activate", "a")
+    sensors, actuators = tuple(Sensor(name=name, unit="W") for name in names), (Actuator(name="a", unit="W"),)
+    read_back = read(tmp_path, manifest(sensors=sensors, meters=(), actuators=actuators))
+    outputs = [variable.name for variable in read_back.modelVariables if variable.causality == "output"]
+    assert outputs == ["seed_2", "address_2", "a_u_3", "a_u_2", "a_activate_2", "a"]
+
+
 def test_fmu__references_are_unique_and_outputs_are_the_initial_unknowns(tmp_path: Path) -> None:
     read_back = read(tmp_path, manifest())
     reals = [variable.valueReference for variable in read_back.modelVariables if variable.type == "Real"]
