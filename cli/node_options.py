@@ -54,12 +54,16 @@ Connect = Annotated[
 ]
 NoListen = Annotated[bool, typer.Option("--no-listen", help="Only connect to a router or another node.")]
 Slots = Annotated[int, typer.Option(help="Number of engines that step together, each with its own episode.")]
-NoMonitoring = Annotated[bool, argument("monitoring", "--no-monitoring", note=" This option prevents it.")]
+NoMonitoring = Annotated[
+    bool, typer.Option("--no-monitoring", help="Do not measure what only pictures and reports need.")
+]
 Systems = Annotated[bool, argument("systems", "--systems")]
 Baseline = Annotated[bool, argument("baseline", "--baseline")]
 Branches = Annotated[int, argument("branches")]
 Unresponsive = Annotated[float, argument("unresponsive_s", "--unresponsive", metavar="SECONDS")]
-NoShrinkCaches = Annotated[bool, argument("shrink_caches", "--no-shrink-caches", note=" This option prevents it.")]
+NoShrinkCaches = Annotated[
+    bool, typer.Option("--no-shrink-caches", help="Leave the size of EnergyPlus's caches as it is.")
+]
 Record = Annotated[Path | None, argument("record")]
 ResumeFile = Annotated[
     Path | None,
