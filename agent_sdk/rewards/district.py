@@ -60,8 +60,9 @@ class DistrictReward(ComfortBand):
 
     E is the net consumption of the timestep in kWh, P the same as mean power in kW: `consumption` less `generation`.
     P_max is the maximum of P on the calendar day so far, at least 0, so the first terms of a day add up to its peak.
-    P_before is P of the previous timestep; the first one of an episode has no ramp. The price is the one that its point
-    had at the beginning of the timestep.
+    P_before is P of the previous timestep; the first one of an episode has no ramp. The price of a point that is a mean
+    over the timestep, such as a market's, is its value of that timestep. Of any other point it is the value at the
+    beginning of the timestep, or, in the first timestep of an episode, at its end.
 
     Terms: peak, limit, ramping, cost, feed_in, comfort, each if its weight is above 0. Metrics: net_kw (P), and with
     each term: peak_kw (P_max with this timestep), limit_excess, ramp_kw, cost, feed_in_kwh, degrees_outside.
