@@ -105,6 +105,11 @@ class MeasuredData:
     lines: tuple[int, ...]
     is_monthly: bool
 
+    @property
+    def is_hourly(self) -> bool:
+        """Whether each row is an hour, which has the hourly limits."""
+        return all(end - begin == HOUR for begin, end in zip(self.begins, self.ends, strict=True))
+
     def rows_of(self, days: tuple[date, date]) -> list[int]:
         """Return the rows whose intervals are within a period."""
         begin, end = bounds(days)

@@ -102,7 +102,8 @@ class ColumnErrors:
     Attributes:
         rows: errors of the rows.
         months: errors of the totals (means, for what is no total) of calendar months; None if these are too few.
-        is_hourly_within, is_monthly_within: whether they are within the guideline's limits; None: not defined.
+        is_hourly_within, is_monthly_within: whether they are within the guideline's limits; None: it has none for
+            them, as for temperatures, and for rows of a day.
     """
 
     header: str
@@ -134,12 +135,11 @@ def column_errors(data: MeasuredData, compared: Iterable[Compared], adjustable: 
     for each in compared:
         rows = fit_errors(each.measured, each.simulated, adjustable)
         months = None if data.is_monthly else _months(data, each, adjustable)
-        absolute = each.column.is_absolute
-        hourly = None if absolute or data.is_monthly else rows.is_within(HOURLY)
-        monthly = None if absolute else rows.is_within(MONTHLY) if data.is_monthly else None
-        if months is not None and not absolute:
-            monthly = months.is_within(MONTHLY)
-        result.append(ColumnErrors(each.column.header, each.column.unit, rows, months, hourly, monthly, absolute))
+        has_limits = not each.column.is_absolute
+        by_month = rows if data.is_monthly else months
+        hourly = rows.is_within(HOURLY) if has_limits and data.is_hourly else None
+        monthly = by_month.is_within(MONTHLY) if has_limits and by_month is not None else None
+        result.append(ColumnErrors(each.column.header, each.column.unit, rows, months, hourly, monthly, not has_limits))
     return result
 
 

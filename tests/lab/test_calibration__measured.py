@@ -13,6 +13,7 @@ from support.calibration_model import Series
 from zenostat.lab.calibration.config import Calibration, read_calibration
 from zenostat.lab.calibration.headings import read_headings
 from zenostat.lab.calibration.measured import MeasuredData, read_measured
+from zenostat.lab.calibration.objective import column_errors, compare
 from zenostat.topics.errors import InvalidConfig
 
 METER, ROOM, POWER = Series("meter", "J", True), Series("room", "degC", False), Series("power", "W", False)
@@ -82,6 +83,20 @@ def test_read_measured__adds_or_averages_parts_of_hours(file: Path) -> None:
     assert data.columns[0].values.tolist() == [6.0] * 24
     assert data.columns[1].values.tolist() == [11.5] * 24
     assert data.lines[:3] == (2, 6, 10)
+
+
+def test_column_errors__rows_of_days_have_no_limits(file: Path) -> None:
+    """A model whose hours are off by half of the measured ones, and right on the sum of each day."""
+    first, last = date(2017, 3, 12), date(2017, 3, 15)
+    hours = [f"2017-03-{day} {hour:02}:00" for day in range(12, 16) for hour in range(24)]
+    settings: dict[str, Any] = {"periods": [[str(first), str(last)]]}
+    simulated = {(first, last): 3.6e6 * np.tile([0.5, 1.5], 48)[:, None]}
+    verdicts = {}
+    for times, value in ((hours, "1"), (hours[::24], "24")):
+        data = read(file, ["time,meter [kWh]", *rows(times, value)], METER, **settings)
+        (errors,) = column_errors(data, compare(data, simulated), 1)
+        verdicts[len(times)] = (errors.is_hourly_within, errors.is_monthly_within)
+    assert verdicts == {96: (False, None), 4: (None, None)}
 
 
 def test_read_measured__rows_between_stamps_are_bills_with_monthly_limits(file: Path) -> None:
