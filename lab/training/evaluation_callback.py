@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from typing_extensions import override
 
 from zenostat.agent_sdk.controllers.policy import preserve_random_state
 from zenostat.agent_sdk.controllers.predictor import Predictor, describe_difference
@@ -19,6 +22,7 @@ from zenostat.agent_sdk.wrappers.checkpoint import LOGS, frozen_statistics, set_
 from zenostat.agent_sdk.wrappers.names import attribute, layers
 from zenostat.bridge.runtime.scratch import scratch_folder
 from zenostat.lab.evaluate import run_episode
+from zenostat.lab.training.paired_reward import SCALED
 from zenostat.metrics.episode_metrics import EpisodeMetrics
 from zenostat.topics import yaml12
 from zenostat.topics.atomic_file import atomic_file
@@ -192,6 +196,10 @@ def evaluate_model(
 ) -> tuple[EpisodeMetrics, ...]:
     """Run episodes of a model without exploration, in an environment within the same wrappers as in its training.
 
+    Where a wrapper pays another reward than the building's, `reward` of the metrics is the sum of what the environment
+    returns, and the terms are the building's. `NormalizeReward` and `ClipReward` only help to learn: with one of them,
+    it is the building's.
+
     Observations pass through the model's `VecNormalize` if it has one. Neither that nor Gymnasium's running statistics
     around `env` learn from them. A model that takes action masks, such as sb3-contrib's `MaskablePPO`, gets those of
     the environment's method `action_masks`. Episode k is reset with `seed + k`. The reward has forgotten earlier
@@ -215,9 +223,36 @@ def evaluate_model(
         def act(observation: Any, predictor: Predictor = predictor) -> Any:
             return predictor.action(observation if normalization is None else normalization.normalize_obs(observation))
 
+        counted = _RewardSum(env)
         with frozen_statistics(env):
-            results.append(run_episode(env, act, seed=seed + number)[0])
+            result = run_episode(counted, act, seed=seed + number)[0]
+        results.append(replace(result, reward=counted.total) if counted.differs_from(result.reward) else result)
     return tuple(results)
+
+
+class _RewardSum(gym.Wrapper[Any, Any, Any, Any]):
+    """Sums the rewards that an environment returns.
+
+    Attributes:
+        total: the sum.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        super().__init__(env)
+        self.total = 0.0
+
+    @override
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        result = self.env.step(action)
+        reward: Any = result[1]
+        self.total += float(reward) if np.ndim(reward) == 0 else math.nan
+        return result
+
+    def differs_from(self, reward: float | None) -> bool:
+        """Return whether a wrapper pays another reward than the building's, apart from one that scales it."""
+        if reward is None or not math.isfinite(self.total) or {type(layer).__name__ for layer in layers(self)} & SCALED:
+            return False
+        return not math.isclose(self.total, reward, rel_tol=1e-6, abs_tol=1e-9)
 
 
 def _check_environment(model: BaseAlgorithm, env: Any) -> None:

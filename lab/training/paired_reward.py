@@ -19,7 +19,7 @@ from zenostat.agent_sdk.wrappers.names import layers
 from zenostat.lab.training.zero_actions import zero_actions
 from zenostat.topics.errors import InvalidConfig
 
-_SCALED = ("NormalizeReward", "ClipReward")
+SCALED = frozenset({"NormalizeReward", "ClipReward"})
 """Gymnasium's wrappers that change a reward by what it has been, or not in proportion."""
 
 
@@ -42,7 +42,7 @@ def paired(env: Any, reference: Any) -> Any:
     for layer in layers(env):
         if type(layer).__name__ in LOGS:
             raise InvalidConfig(f"paired_reward: {type(layer).__name__} would log the reference as well; remove it")
-        if type(layer).__name__ in _SCALED:
+        if type(layer).__name__ in SCALED:
             raise InvalidConfig(
                 f"paired_reward: {type(layer).__name__} would scale the rewards of environment and reference "
                 "differently; remove it, and use normalization.rewards"

@@ -211,6 +211,19 @@ def test_training__evaluations_are_logged_and_the_best_model_is_kept(tmp_path: P
     assert list(callback.results) == [50, 100, 150, 200, 250]  # in a new environment, at multiples of the interval
 
 
+def test_training__evaluations_are_of_the_reward_that_a_wrapper_pays() -> None:
+    def doubled() -> gym.Env[Any, Any]:
+        return gym.wrappers.TransformReward(scaled(), lambda reward: 3.0 - 2.0 * float(reward))
+
+    model = ppo(scaled())
+    (own,) = evaluate_model(model, scaled(), seed=5)
+    (paid,) = evaluate_model(model, doubled(), seed=5)
+    assert paid.reward == pytest.approx(3.0 * 24 - 2.0 * own.reward)
+    assert paid.terms == own.terms
+    (helped,) = evaluate_model(model, gym.wrappers.NormalizeReward(scaled()), seed=5)
+    assert helped.reward == own.reward
+
+
 def test_training__what_a_training_has_learnt_of_its_observations_is_used_and_kept(tmp_path: Path) -> None:
     best = tmp_path / "best.zip"
     training = VecNormalize(DummyVecEnv([scaled]), norm_reward=True)
