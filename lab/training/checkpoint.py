@@ -127,8 +127,10 @@ def last_checkpoint(folder: Path) -> Checkpoint | None:
         except InvalidConfig as error:
             damaged.append((path, error))
             continue
-        for unreadable, error in damaged:
-            warnings.warn(f"{error}; it is removed, and the training goes on at step {checkpoint.step:,}", stacklevel=2)
+        for unreadable, reason in damaged:
+            warnings.warn(
+                f"{reason}; it is removed, and the training goes on at step {checkpoint.step:,}", stacklevel=2
+            )
             shutil.rmtree(unreadable)
         return checkpoint
     if damaged:
