@@ -23,6 +23,7 @@ from zenostat.lab.benchmark.recipes import (
 from zenostat.topics.errors import InvalidConfig
 
 VERSION = 2
+"""Version of the definition; results of different versions are not comparable."""
 
 SEASONS = {"winter": ("01-09", "01-15"), "spring": ("04-10", "04-16"), "summer": ("07-10", "07-16")}
 """First and last day of an episode: Monday to Sunday in the models' year, 2017."""
