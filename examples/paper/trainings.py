@@ -184,7 +184,8 @@ def continued_table(trained: list[list[dict[str, Any]]], baseline: dict[str, Any
     change = 100.0 * (metered_w(best) / metered_w(baseline) - 1.0)
     text = (
         f"Mean of the first evaluations: {first:.4f}, of the last ones: {last:.4f}. The best of all evaluations, "
-        f"{best['mean_reward']:.4f} after {best['step'] / YEAR:.0f} years, needs {change:+.1f} % energy by the meters."
+        f"{best['mean_reward']:.4f} after {best['step'] / YEAR:.0f} years, needs {abs(change):.1f} % "
+        f"{'less' if change < 0.0 else 'more'} energy by the meters than the baseline."
     )
     return [*lines, "", text.replace("-", MINUS)]
 

@@ -185,14 +185,14 @@ def planning_page(text: str) -> str:
     saved = saved_shares(complete(results).rows.values())
     sentence = (
         f"In the set {results.set} of the [benchmark](benchmark.md), whose reward has a tariff, a demand charge and "
-        f"occupied comfort, the oracle saves {_percent(saved['oracle'])} of all costs of the baseline control, and "
-        f"`rbc` {_percent(saved['rbc'])}."
+        f"occupied comfort, the oracle costs {_more_or_less(saved['oracle'])} than the baseline control, and `rbc` "
+        f"{_more_or_less(saved['rbc'])}."
     )
     return _replace(text, "planning", sentence)
 
 
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.0f} %"
+def _more_or_less(saved: float) -> str:
+    return f"{100.0 * abs(saved):.0f} % {'less' if saved >= 0.0 else 'more'}"
 
 
 def _savings(results: Results) -> str:
