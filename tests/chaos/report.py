@@ -37,7 +37,7 @@ def figures(verdict: Verdict) -> str:
         f"{outcome.seconds:.0f} s, seed {outcome.seed}: {verdict.episodes:,} episodes, {verdict.samples:,} samples, "
         f"{verdict.messages:,} messages to the node, {verdict.refused:,} of them refused and counted; "
         f"{verdict.fallbacks:,} timesteps went on without a controller and say so. "
-        f"Node and engine held {(first.node_bytes + first.engine_bytes) / 1e6:.0f} MB at the begin "
+        f"Node and engine held {(first.node_bytes + first.engine_bytes) / 1e6:.0f} MB at the beginning "
         f"and {(last.node_bytes + last.engine_bytes) / 1e6:.0f} MB at the end."
     )
 
