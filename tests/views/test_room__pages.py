@@ -40,7 +40,7 @@ class Tank:
 
 class Pair(Tank):
     """The valve is the third of all points, and the second actuator."""
-    actuators = {"pump": ("kg/s", 0.0, 1.0, 0.5), "valve": ("kg/s", 0.0, 0.05, 0.01)}
+    actuators = {"pump": ("kg/s", 0.0, 1.0, 0.5), "valve": ("kg/s", 0.0004, 15.125, 0.01)}
 
 
 class Twin(Tank):
@@ -453,6 +453,7 @@ def test_point__panel_follows_a_node_that_restarts_with_others(
         until(lambda: "pair" in bus.nodes(), "it is on the bus")
         page = ada.open(f"{room.url}/?node=pair&point=valve")
         page.locator(".drawer").get_by_text("Under baseline control").wait_for()
+        assert page.locator(".override").get_by_text("Bounds: 0.0004 to 15.125").is_visible()
         bus.stop("pair")
         page.get_by_text("The node has ended.").wait_for()
     with node("Twin"):
@@ -531,6 +532,10 @@ def test_what_if__answer_is_of_its_episode(ada: Visitor, room: Any, bus: zenosta
     page.get_by_text("The node has begun another episode since.").wait_for()
     assert apply.is_disabled()
     assert bus.status("same").paused
+    bus.step("same", 236)  # of 240 h
+    page.get_by_text("step 236 of ").wait_for()
+    page.get_by_role("button", name="Simulate").click()
+    page.get_by_role("heading", name="4 h from Wed 21 Jan 2026, 20:00, to the end of the episode").wait_for()
 
 
 def test_trainings__names_with_commas_are_chosen(ada: Visitor, room: Any) -> None:

@@ -2,7 +2,7 @@
 
 import { get, nodePath, operate } from "./api.js";
 import { fill, h, icon, refill, setText } from "./dom.js";
-import { duration, exact, hoursBefore, num, shortTime, shown, withUnit, words } from "./format.js";
+import { duration, exact, hoursBefore, shortTime, shown, withUnit, words } from "./format.js";
 import { eventItem } from "./panels.js";
 import { forOperators, mayChange, refusalNote } from "./session.js";
 import { chart, loadHistory } from "./trends.js";
@@ -66,7 +66,7 @@ export class PointPanel {
       await operate(this.node, "write", content);
       this.load();
     };
-    const range = [point.low, point.high].map((bound) => num(bound, point.unit));
+    const range = [point.low, point.high].map((bound) => exact(bound));
     return h("form", { class: "override", onsubmit: submit },
       h("h3", {}, "Override"),
       h("div", { class: "fields" },

@@ -2,7 +2,7 @@
 
 import { changeNode, copyText, get, nodePath, post, toast } from "./api.js";
 import { fill, h, refill, setAttribute, setText } from "./dom.js";
-import { counted, dateTime, num, seconds, shown, words } from "./format.js";
+import { counted, dateTime, duration, num, seconds, shown, words } from "./format.js";
 import { priorityName } from "./point.js";
 import { field } from "./schema_form.js";
 import { mayChange, refusalNote } from "./session.js";
@@ -103,7 +103,8 @@ export class WhatIfPanel {
     const apply = asked.values && h("button", { class: "primary", onclick: () => this.apply(asked, apply) }, `Apply for ${asked.hours} h`);
     const ended = h("p", { class: "problem", role: "status", hidden: true }, "The node has begun another episode since.");
     this.answered = { episode: answer.episode, ended, apply };
-    fill(this.result, h("h3", {}, `${num(answer.as_is.totals.hours)} h from ${dateTime(answer.begin)}`), ended, this.totals(answer, name),
+    const isCut = answer.time.length < Math.floor(asked.hours * 3600 / this.description.step_s + 1e-6);
+    fill(this.result, h("h3", {}, `${duration(answer.as_is.totals.hours * 3600)} from ${dateTime(answer.begin)}${isCut ? ", to the end of the episode" : ""}`), ended, this.totals(answer, name),
       h("div", { class: "row wrap drawn" }, choice, other, drawn, legend, h("span", { class: "grow" }), apply), canvas,
       asked.controller && this.start(answer.command, asked));
     draw();
