@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from zenostat.lab.calibration.config import Calibration, Column
-from zenostat.lab.calibration.headings import Heading, read_headings, read_rows
+from zenostat.lab.calibration.headings import Heading, read_rows
 from zenostat.lab.calibration.timestamps import (
     BILL,
     DAY,
@@ -96,14 +96,19 @@ class MeasuredData:
         columns: the columns.
         begins, ends: begin and end of each row's interval in local standard time; whole hours.
         lines: line of each row in the file.
-        is_monthly: whether the rows are those of bills, which have the monthly limits.
     """
 
     columns: tuple[MeasuredColumn, ...]
     begins: tuple[datetime, ...]
     ends: tuple[datetime, ...]
     lines: tuple[int, ...]
-    is_monthly: bool
+
+    @property
+    def is_monthly(self) -> bool:
+        """Whether the rows are those of bills, which have the monthly limits."""
+        return (
+            float(np.median([(end - begin) / BILL for begin, end in zip(self.begins, self.ends, strict=True)])) >= 1.0
+        )
 
     @property
     def is_hourly(self) -> bool:
@@ -144,10 +149,9 @@ def read_measured(
     Raises:
         InvalidConfig: an error of the file, with its line and what would be right.
     """
-    time, _ = read_headings(path, config)
     rows = read_rows(path, config.delimiter)
     header = [cell.strip() for cell in rows[0][1]]
-    lines, stamps = read_timestamps(path, config, rows[1:], header.index(time), utc_offset_h)
+    lines, stamps = read_timestamps(path, config, rows[1:], header.index(config.time_column or header[0]), utc_offset_h)
     interval = row_interval(config, stamps)
     begins, ends = row_intervals(path, config, lines, stamps, interval)
     columns = []
@@ -156,13 +160,11 @@ def read_measured(
         columns.append(_column(path, heading, target, values, lines))
     if interval is None:
         lines, columns = _between(path, config, lines, stamps, columns)
+    data = MeasuredData(tuple(columns), tuple(begins), tuple(ends), tuple(lines))
+    _check_periods(path, data, config, is_hourly=interval is not None)
     if interval is not None and interval < HOUR:
-        lines, begins, ends, columns = _to_hours(lines, begins, columns, interval)
-    is_monthly = bool(begins) and float(np.median([(e - b) / BILL for b, e in zip(begins, ends, strict=True)])) >= 1.0
-    data = MeasuredData(tuple(columns), tuple(begins), tuple(ends), tuple(lines), is_monthly)
-    for name, periods in (("periods", config.periods), ("held_out", config.held_out)):
-        for number, days in enumerate(periods):
-            _check_period(path, data, config, days, f"{name}[{number}]", is_hourly=interval is not None)
+        data = _to_hours(path, data, interval)
+        _check_periods(path, data, config, is_hourly=True)
     return data
 
 
@@ -240,20 +242,25 @@ def _check_temperatures(path: Path, heading: Heading, unit: str, values: Floats,
         )
 
 
-def _to_hours(
-    lines: Sequence[int], begins: Sequence[datetime], columns: Sequence[MeasuredColumn], interval: timedelta
-) -> tuple[list[int], list[datetime], list[datetime], list[MeasuredColumn]]:  # fmt: skip
-    """Return rows of whole hours: sums of energies, means of all else; an hour that lacks a row is left out."""
+def _to_hours(path: Path, data: MeasuredData, interval: timedelta) -> MeasuredData:
+    """Return rows of whole hours: sums of energies, means of all else; an hour that lacks a row is left out.
+
+    Raises:
+        InvalidConfig: every hour lacks a row.
+    """
     parts = round(HOUR / interval)
     hours: dict[datetime, list[int]] = {}
-    for row, begin in enumerate(begins):
+    for row, begin in enumerate(data.begins):
         hours.setdefault(begin.replace(minute=0), []).append(row)
     whole = {begin: rows for begin, rows in hours.items() if len(rows) == parts}
+    if not whole:
+        raise InvalidConfig(f"{path}: no hour has all of its {parts} rows")
     joined = []
-    for column in columns:
+    for column in data.columns:
         table = column.values[np.array(list(whole.values()), dtype=int).reshape(-1, parts)]
         joined.append(replace(column, values=table.sum(axis=1) if column.is_total else table.mean(axis=1)))
-    return [lines[rows[0]] for rows in whole.values()], list(whole), [begin + HOUR for begin in whole], joined
+    lines = tuple(data.lines[rows[0]] for rows in whole.values())
+    return MeasuredData(tuple(joined), tuple(whole), tuple(begin + HOUR for begin in whole), lines)
 
 
 def _between(
@@ -294,6 +301,12 @@ def _between(
         for column in values:
             column[row] = np.nan
     return rows, [replace(column, values=each) for column, each in zip(columns, values, strict=True)]
+
+
+def _check_periods(path: Path, data: MeasuredData, config: Calibration, *, is_hourly: bool) -> None:
+    for name, periods in (("periods", config.periods), ("held_out", config.held_out)):
+        for number, days in enumerate(periods):
+            _check_period(path, data, config, days, f"{name}[{number}]", is_hourly=is_hourly)
 
 
 def _check_period(

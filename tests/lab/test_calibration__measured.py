@@ -85,6 +85,23 @@ def test_read_measured__adds_or_averages_parts_of_hours(file: Path) -> None:
     assert data.lines[:3] == (2, 6, 10)
 
 
+@pytest.mark.parametrize(("timestamps", "first"), [("begin", "03:00:00"), ("end", "02:45:00")])
+def test_read_measured__missing_part_of_an_hour_is_named_alone(file: Path, timestamps: str, first: str) -> None:
+    times = [
+        f"2017-03-1{day} {hour:02}:{minute:02}" for day in "123" for hour in range(24) for minute in (0, 15, 30, 45)
+    ]
+    times.remove("2017-03-12 03:00")
+    lines = ["time,meter (kWh)", *rows(times, "1")]
+    before = 2 + times.index("2017-03-12 03:15")
+    with pytest.raises(InvalidConfig, match=rf"before line {before}: no data for 2017-03-12 {first} to 2017-03-12 0"):
+        read(file, lines, METER, timestamps=timestamps)
+    data = read(file, lines, METER, timestamps=timestamps, missing="leave_out")
+    assert len(data.rows_of((date(2017, 3, 12), date(2017, 3, 12)))) == 23
+    with pytest.raises(InvalidConfig, match="no hour has all of its 4 rows"):
+        read(file, ["time,meter (kWh)", *rows(times[1:4] + times[5:7], "1")], METER, missing="leave_out",
+             periods=[["2017-03-11", "2017-03-11"]])  # fmt: skip
+
+
 def test_column_errors__rows_of_days_have_no_limits(file: Path) -> None:
     """A model whose hours are off by half of the measured ones, and right on the sum of each day."""
     first, last = date(2017, 3, 12), date(2017, 3, 15)
