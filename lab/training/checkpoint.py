@@ -14,6 +14,7 @@ from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 from zipfile import ZipFile
 
@@ -27,7 +28,6 @@ from stable_baselines3.common.save_util import load_from_zip_file
 from zenostat.agent_sdk.rewards import BoundReward
 from zenostat.agent_sdk.wrappers import restore_wrappers, save_wrappers
 from zenostat.agent_sdk.wrappers.names import inside, layers
-from zenostat.bridge.runtime.scratch import scratch_folder
 from zenostat.lab.training.environments import TrainingEnv, simulated_state
 from zenostat.lab.training.episode_recorder import RunningEpisodes, repeat
 from zenostat.topics.errors import InvalidConfig
@@ -128,10 +128,9 @@ def last_checkpoint(folder: Path) -> Checkpoint | None:
             damaged.append((path, error))
             continue
         for unreadable, reason in damaged:
-            warnings.warn(
-                f"{reason}; it is removed, and the training goes on at step {checkpoint.step:,}", stacklevel=2
-            )
-            shutil.rmtree(unreadable)
+            text = f"{reason}; it is removed, and the training goes on at step {checkpoint.step:,}"
+            warnings.warn(text, stacklevel=2)
+            shutil.rmtree(unreadable, ignore_errors=True)
         return checkpoint
     if damaged:
         raise InvalidConfig(f"{damaged[0][1]}; {folder} has no other one that can be read: begin a new training")
@@ -218,8 +217,8 @@ def restore_environment(checkpoint: Checkpoint, env: TrainingEnv, seed: int) -> 
     texts = [checkpoint.wrappers, *checkpoint.state.get("reference_wrappers", ())]
     for each, text in zip(env.both, texts, strict=False):
         if text:
-            with scratch_folder() as folder:
-                path = folder / WRAPPERS
+            with TemporaryDirectory(prefix="zenostat-") as folder:
+                path = Path(folder) / WRAPPERS
                 path.write_text(text, encoding="utf-8")
                 restore_wrappers(each, path)
     _restore_memories(checkpoint.state, env)
@@ -327,8 +326,8 @@ def restore_random_states(checkpoint: Checkpoint, model: BaseAlgorithm, env: Tra
 
 def wrapper_state(env: Any) -> str:
     """Return the wrappers of an environment and what they have learnt as YAML; "" without any."""
-    with scratch_folder() as folder:
-        path = folder / WRAPPERS
+    with TemporaryDirectory(prefix="zenostat-") as folder:
+        path = Path(folder) / WRAPPERS
         save_wrappers(env, path)
         text = path.read_text(encoding="utf-8")
     return "" if text.strip() == "wrappers: []" else text
