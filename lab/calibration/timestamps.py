@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
@@ -19,6 +20,7 @@ BILL = timedelta(days=27)
 _INTERVALS = {"1h": HOUR, "1d": DAY} | {f"{n}min": timedelta(minutes=n) for n in (5, 10, 15, 20, 30)}
 _YEARS = range(1583, 9999)
 """Years of a timestamp: with the calendar of the simulation, and with a day before and after each."""
+_MIDNIGHT = re.compile(r"(?<![\d:.+-])24(?=:00(:00)?(?![\d:.]))")
 _SAVING = (
     ". If the clock of the data has daylight saving time, set time_zone (as America/Denver), or convert the times to "
     "standard time"
@@ -36,10 +38,10 @@ def read_timestamps(
         text = row[place].strip() if place < len(row) else ""
         where = f"{path}, line {line}"
         try:
-            stamp = datetime.strptime(text, config.time_format) if config.time_format else datetime.fromisoformat(text)
+            stamp = _parsed(text, config.time_format)
             if not _YEARS.start <= stamp.year < _YEARS.stop:
                 raise ValueError
-        except ValueError:
+        except (ValueError, OverflowError):
             wanted = config.time_format or "ISO 8601, as 2017-01-09 13:00, or time_format in the parameters file"
             raise InvalidConfig(f"{where}: {text!r} is no timestamp; expected {wanted}") from None
         standard = _standard(where, stamp, zone, utc_offset_h, stamps[-1] if stamps else None)
@@ -50,6 +52,17 @@ def read_timestamps(
     if len(stamps) < 2:
         raise InvalidConfig(f"{path}: {len(stamps)} rows with data; a calibration needs more")
     return lines, stamps
+
+
+def _parsed(text: str, time_format: str | None) -> datetime:
+    """Return a time; 24:00, as meters and EnergyPlus's own CSV files write midnight, is 0:00 of the next day.
+
+    Raises:
+        ValueError, OverflowError: the text is no time of this form.
+    """
+    midnight = _MIDNIGHT.sub("00", text, count=1)
+    stamp = datetime.strptime(midnight, time_format) if time_format else datetime.fromisoformat(midnight)
+    return stamp if midnight == text else stamp + DAY
 
 
 def _zone(name: str | None) -> ZoneInfo | None:

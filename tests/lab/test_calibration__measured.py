@@ -102,6 +102,33 @@ def test_read_measured__missing_part_of_an_hour_is_named_alone(file: Path, times
              periods=[["2017-03-11", "2017-03-11"]])  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    ("time_format", "midnight", "is_midnight"),
+    [
+        (None, "2017-03-12 24:00", True),
+        (None, "2017-03-12T24:00:00-07:00", True),
+        ("%m/%d/%Y %H:%M:%S", "03/12/2017 24:00:00", True),
+        ("%H:%M %d.%m.%Y", "24:00 12.03.2017", True),
+        (None, "2017-03-12 24:15", False),
+        (None, "2017-03-12 24:00:01", False),
+        (None, "9999-12-31 24:00", False),
+    ],
+)
+def test_read_measured__24_00_is_midnight_of_the_next_day(
+    file: Path, time_format: str | None, midnight: str, is_midnight: bool
+) -> None:
+    before = [datetime(2017, 3, 12, hour) for hour in range(1, 24)]
+    zone = "-07:00" if midnight.endswith("-07:00") else ""
+    times = [f"{time:{time_format or '%Y-%m-%dT%H:%M'}}{zone}" for time in before]
+    lines = ["time,meter [kWh]", *rows([*times, midnight], "1")]
+    settings: dict[str, Any] = {"timestamps": "end", "time_format": time_format}
+    if is_midnight:
+        assert read(file, lines, METER, **settings).ends[-1] == datetime(2017, 3, 13)
+    else:
+        with pytest.raises(InvalidConfig, match=f"'{midnight}' is no timestamp"):
+            read(file, lines, METER, **settings)
+
+
 def test_column_errors__rows_of_days_have_no_limits(file: Path) -> None:
     """A model whose hours are off by half of the measured ones, and right on the sum of each day."""
     first, last = date(2017, 3, 12), date(2017, 3, 15)
