@@ -144,7 +144,12 @@ class NodeConnection:
         self._target: _Target
         with ExitStack() as undo:
             undo.callback(self.abandon)
-            if render_mode is not None and render_mode not in RENDER_MODES:
+            if render_mode not in (None, "rgb_array") and link is not None:
+                raise InvalidConfig(
+                    f"render_mode {render_mode!r}; 'rgb_array' expected: without a node, there is no bus for "
+                    "'rerun' to show"
+                )
+            if render_mode not in (None, *RENDER_MODES):
                 raise InvalidConfig(f"render_mode {render_mode!r}; there are: {', '.join(RENDER_MODES)}")
             if affinity not in list(Affinity):
                 raise InvalidConfig(f"affinity {affinity!r}; there are: {', '.join(Affinity)}")
@@ -155,10 +160,10 @@ class NodeConnection:
             if keys is not None and connect is None:
                 raise InvalidConfig("keys= needs connect='tls/HOST:PORT'; a local node is not on a network")
             if link is not None:
-                if node_arguments or connect or render_mode == "rerun":
+                if node_arguments or connect:
                     raise InvalidConfig(
                         "link= has a building of its own and no bus; leave out the arguments that choose a building or "
-                        "a bus, and render_mode='rerun'"
+                        "a bus"
                     )
                 self._close.callback(link.close)
                 self.manifest: Manifest = link.manifest

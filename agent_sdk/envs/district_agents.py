@@ -10,7 +10,7 @@ from typing import Any, cast
 from zenostat.agent_sdk.envs import arguments
 from zenostat.agent_sdk.envs.agent_parts import AgentPart, indices_of
 from zenostat.agent_sdk.envs.agents_env import AgentRewards, AgentsEnv, RewardFunctionOfAgents, RewardsOfAgents
-from zenostat.agent_sdk.envs.district_env import DistrictEnv
+from zenostat.agent_sdk.envs.district_env import RENDER_MODES, DistrictEnv
 from zenostat.agent_sdk.envs.episode_state import unrewarded_entries
 from zenostat.agent_sdk.rewards import AnyReward, BoundReward, read_reward
 from zenostat.topics.arrays import Floats
@@ -36,7 +36,7 @@ class DistrictAgentsEnv(AgentsEnv):
         InvalidConfig: The district has no actions; the rewards are not those of its agents; and as for `DistrictEnv`.
     """
 
-    metadata = {"render_modes": ["rerun"], "name": "zenostat_district_v1", "is_parallelizable": True}  # noqa: RUF012
+    metadata = {"render_modes": [*RENDER_MODES], "name": "zenostat_district_v1", "is_parallelizable": True}  # noqa: RUF012
 
     env: DistrictEnv
 

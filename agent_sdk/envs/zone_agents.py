@@ -8,6 +8,7 @@ from typing import Any, cast
 from zenostat.agent_sdk.envs import arguments
 from zenostat.agent_sdk.envs.agents_env import AgentRewards, AgentsEnv, RewardFunctionOfAgents, RewardsOfAgents
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.envs.connection import RENDER_MODES
 from zenostat.agent_sdk.envs.zone_partition import BUILDING, partition
 from zenostat.agent_sdk.envs.zone_rewards import SharedReward
 from zenostat.agent_sdk.rewards import AnyReward, read_reward
@@ -51,7 +52,7 @@ class ZonesEnv(AgentsEnv):
         InvalidConfig: No action belongs to a single zone, or the reward cannot be divided; and as for `BuildingEnv`.
     """
 
-    metadata = {"render_modes": ["rgb_array", "rerun"], "name": "zenostat_zones_v1", "is_parallelizable": True}  # noqa: RUF012
+    metadata = {"render_modes": [*RENDER_MODES], "name": "zenostat_zones_v1", "is_parallelizable": True}  # noqa: RUF012
 
     def __init__(
         self,

@@ -39,8 +39,6 @@ class FakeVectorEnv(BuildingVectorEnv):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         **building: Any,
     ) -> None:
-        if render_mode == "rerun":
-            raise InvalidConfig("render_mode 'rerun' shows a bus, but a fake building has none; use 'rgb_array'")
         if not isinstance(num_envs, int | np.integer) or num_envs < 1:
             raise InvalidConfig(f"num_envs = {num_envs!r}; at least 1 expected")
         arguments.check_arguments(building, FakeBuilding)

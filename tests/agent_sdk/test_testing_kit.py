@@ -402,10 +402,10 @@ def test_testing_kit__context_weather_reward_and_limits_are_those_of_a_real_envi
 
 
 def test_testing_kit__fake_building_is_on_no_bus() -> None:
-    with pytest.raises(InvalidConfig, match="render_mode 'rerun' shows a bus"):
-        FakeEnv(1, render_mode="rerun")
-    with pytest.raises(InvalidConfig, match="render_mode 'rerun' shows a bus"):
-        FakeVectorEnv(1, render_mode="rerun")
+    for mode in ("rerun", "ansi"):
+        for make in (FakeEnv, FakeVectorEnv):
+            with pytest.raises(InvalidConfig, match=f"render_mode '{mode}'; 'rgb_array' expected: without a node"):
+                make(1, render_mode=mode)
     with FakeEnv(1) as env, closing(FakeVectorEnv(1)) as envs:
         assert env.metadata["render_modes"] == envs.metadata["render_modes"] == ["rgb_array"]
 
