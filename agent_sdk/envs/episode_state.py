@@ -72,8 +72,8 @@ class EpisodeState(Generic[C]):
     _reset_entries: dict[str, Any] | None = None
 
     @classmethod
-    def of(cls, manifest: Manifest, reward: Reward | None, context: C, slots: int | None = None) -> EpisodeState[C]:
-        """Return the state of the task of a manifest, for a single building or for a number of slots."""
+    def of(cls, manifest: Manifest, reward: Reward | None, context: C, slots: int = 1) -> EpisodeState[C]:
+        """Return the state of the task of a manifest, for a number of slots."""
         limits = TerminationLimits(manifest, slots) if manifest.task.terminate else None
         return cls(None if reward is None else reward.bind(manifest), limits, context)
 

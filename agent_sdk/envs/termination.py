@@ -18,51 +18,47 @@ class TerminationLimits:
 
     Args:
         manifest: The node's manifest; it has all points of the limits.
-        slots: Number of slots; None is a single building, whose values have no dimension for slots.
+        slots: Number of slots.
     """
 
-    def __init__(self, manifest: Manifest, slots: int | None = None) -> None:
+    def __init__(self, manifest: Manifest, slots: int = 1) -> None:
         self._limits = manifest.task.terminate
         self._step_s = manifest.step_s
         index = value_index(manifest)
         self._points = [np.array([index[name] for name in limit.points]) for limit in self._limits]
         self._bounds = [bounds(limit) for limit in self._limits]
-        self._batch_shape = () if slots is None else (slots,)
+        self._slots = slots
         self.reset()
 
     def reset(self, slots: Sequence[int] | None = None) -> None:
         """Reset the counts for a new episode in these slots; None: in all."""
         if slots is None:
-            self._outside_s = [np.zeros((*self._batch_shape, len(points))) for points in self._points]
+            self._outside_s = [np.zeros((self._slots, len(points))) for points in self._points]
             return
         for outside_s in self._outside_s:
             outside_s[list(slots)] = 0.0
 
     def adopt(self, single: TerminationLimits) -> None:
         """Take over the counts of a single building in all slots."""
-        self._outside_s = [np.broadcast_to(counts, (*self._batch_shape, len(counts))) for counts in single.counts]
+        self._outside_s = [np.repeat(counts, self._slots, axis=0) for counts in single.counts]
 
     @property
     def counts(self) -> list[Floats]:
-        """Seconds that each point of each limit has been outside its range."""
+        """Seconds that each point of each limit has been outside its range, shape (slots, points)."""
         return self._outside_s
 
     def violated(self, values: Floats) -> str:
-        """Describe the limit that a sample violates; empty if it violates none.
+        """Describe the limit that the sample of a single building violates, shape (points,); empty if none."""
+        return self.violated_slots(values[None]).get(0, "")
+
+    def violated_slots(self, values: Floats) -> dict[int, str]:
+        """Describe the first limit that each slot violates, of those that violate one.
 
         A point accumulates the timesteps that it has ended outside its range until it is back inside.
 
         Args:
-            values: The sample's values, shape (points,).
+            values: The values of the slots' samples, shape (slots, points).
         """
-        for number in range(len(self._limits)):
-            check = self._check(number, values)
-            if check.violated.any():
-                return self._describe(number, *check)
-        return ""
-
-    def violated_slots(self, values: Floats) -> dict[int, str]:
-        """Describe the violated limit of each slot that violates one; values have shape (slots, points)."""
         violations: dict[int, str] = {}
         for number in range(len(self._limits)):
             check = self._check(number, values)
