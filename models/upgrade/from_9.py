@@ -198,6 +198,10 @@ STEPS = (
             (r"(.*)(?<!Natural)\bGas ((?:HHV Basis )?(?:Energy|Rate)|Mass Flow Rate)", r"\1NaturalGas \2"),
             (r"(Environmental Impact )Natural Gas (.*)", r"\1NaturalGas \2"),
             (r"(Environmental Impact )Fuel Oil #([12]) (.*)", r"\1FuelOilNo\2 \3"),
+            # The table has 'Power' in the new names of these, but EnergyPlus 'Rate', as for electricity.
+            (r"Cooling Coil (?:Natural)?Gas Power", "Cooling Coil NaturalGas Rate"),
+            (r"Cooling Coil FuelOil#([12]) Power", r"Cooling Coil FuelOilNo\1 Rate"),
+            (r"Cooling Coil (Propane|Diesel|Gasoline|Coal|OtherFuel[12]) Power", r"Cooling Coil \1 Rate"),
             (r"(.*)FuelOil#([12])(.*)", r"\1FuelOilNo\2\3"),
         ),
         functions=(simulation_rules.one_diagnostics_object, simulation_rules.debugging_words),

@@ -269,10 +269,16 @@ VARIABLES = {
     "Humidifier Gas Use Thermal Efficiency": "Humidifier NaturalGas Use Thermal Efficiency",
     "Environmental Impact Fuel Oil #2 Source Energy": "Environmental Impact FuelOilNo2 Source Energy",
     "Environmental Impact Natural Gas CO2 Emissions Mass": "Environmental Impact NaturalGas CO2 Emissions Mass",
+    "Cooling Coil FuelOil#1 Power": "Cooling Coil FuelOilNo1 Rate",
+    "Cooling Coil FuelOil#1 Energy": "Cooling Coil FuelOilNo1 Energy",
+    "Cooling Coil NaturalGas Power": "Cooling Coil NaturalGas Rate",
+    "Cooling Coil OtherFuel2 Power": "Cooling Coil OtherFuel2 Rate",
+    "Cooling Coil Waste Heat Power": "Cooling Coil Waste Heat Power",
     "Refrigeration Zone Air Chiller Fan Electric Energy": "Refrigeration Zone Air Chiller Fan Electric Energy",
     "Electric Storage Charge Power": "Electric Storage Charge Power",
 }
-"""Names of 9.3 and of 9.4, by EnergyPlus's table of renamed report variables."""
+"""Names of 9.3 and of 9.4, by EnergyPlus's table of renamed report variables; of a cooling coil's fuels, as EnergyPlus
+itself has them."""
 
 
 @pytest.mark.parametrize("old", VARIABLES)
