@@ -53,7 +53,7 @@ def read_config(settings: Mapping[str, Any]) -> NodeConfig:
 
 
 def kept_episodes(config: NodeConfig) -> int | None:
-    """Return the number of finished episodes whose files are kept; None keeps all."""
+    """Return the number of episodes before the running one whose files are kept; None keeps all."""
     if config.keep_last is not None or config.config is None or config.output_dir is None:
         return config.keep_last
     from zenostat.models.sinergym.scenarios import kept_episodes as sinergym_kept_episodes

@@ -133,7 +133,7 @@ class ScenarioArguments(TypedDict, total=False):
     ]
     keep_last: Annotated[
         int | None,
-        Doc("Keep output files only for this many finished episodes (1 or more), besides the running one's."),
+        Doc("Keep output files only for the running episode and this many before it (1 or more)."),
     ]
     unobserved: Annotated[
         Sequence[str] | None,
