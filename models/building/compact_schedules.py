@@ -80,6 +80,9 @@ class _Reader:
         while self._at < len(self._entries):
             through = self._at
             self._expect(_THROUGH, "Through: 12/31")
+            if day == LAST_DAY and self._at == len(self._entries) - 1:
+                yield self.finding("which EnergyPlus ignores: the whole year has values already", is_fatal=False)
+                return
             end = day_of_year(re.sub(r"^through:?", "", self._field, flags=re.IGNORECASE))
             if day == LAST_DAY:
                 raise FieldError("but the whole year has values already")

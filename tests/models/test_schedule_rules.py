@@ -102,6 +102,7 @@ ACCEPTED: dict[str, tuple[tuple[Any, ...], str]] = {
     "blank value": ((*DAY, "Until: 12:00", "", "Until: 24:00", 1.0), "EnergyPlus uses 0"),
     "date twice": (("Through: 6/30", *ON, "Through: 6/30", *ON, YEAR, *ON), "adds no day"),
     "ends with day types": ((*DAY,), "EnergyPlus uses 0"),
+    "date after the year": ((YEAR, *ON, YEAR), "EnergyPlus ignores: the whole year has values already"),
     "blank date": (("Through:", *ON, YEAR, *ON), "adds no day"),
 }  # fmt: skip
 """Fields of a Schedule:Compact, and what its warning says."""
