@@ -66,7 +66,7 @@ def number(value: Any) -> float | None:
     text = str(value or "").strip()
     if not text:
         return 0.0
-    if not NUMBER.fullmatch(text):
+    if text.startswith("+") or not NUMBER.fullmatch(text):  # a plus sign is only read in an IDF, as that of a number
         return None
     result = float(re.sub("[dD]", "e", text))
     return result if isfinite(result) else None

@@ -25,7 +25,7 @@ from zenostat.models.input_format.source_model import (
 )
 from zenostat.topics.errors import InvalidConfig, did_you_mean, list_errors
 
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?", re.ASCII)
 """A number as EnergyPlus writes it; the exponent may be a `d`, as in Fortran."""
 
 _COMMENT = re.compile(r"!.*")
@@ -33,7 +33,7 @@ _VERSION = re.compile(r"(?:^|;)\s*version\s*,([^,;]*)[,;]", re.IGNORECASE)
 _SEPARATOR = re.compile(r"([,;])")
 _MERGE_CONFLICT = re.compile(r"^<{7} .*", re.MULTILINE)
 _CONFLICT_MARK = re.compile(r"^(<{7} .*|={7}|>{7} .*)$", re.MULTILINE)
-_INTEGER = re.compile(r"[+-]?\d+")
+_INTEGER = re.compile(r"[+-]?\d+", re.ASCII)
 _TYPE_FIELD = re.compile("type|class|key|name|field|line")  # fields that may hold the name of an object type
 _SIZES = frozenset(("autosize", "autocalculate"))
 _LARGEST_INTEGER = 2**31 - 1

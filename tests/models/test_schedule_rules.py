@@ -37,6 +37,7 @@ REFUSED: dict[str, tuple[tuple[Any, ...], int, str]] = {
     "value is a word": ((*DAY, "Until: 24:00", "on"), 3, "which is a number"),
     "value has a unit": ((*DAY, "Until: 24:00", "5%"), 3, "which is a number"),
     "value is not finite": ((*DAY, "Until: 24:00", "nan"), 3, "which is a number"),
+    "value in full-width digits": ((*DAY, "Until: 24:00", "\uff11\uff15"), 3, "which is a number"),
     "value is missing": ((*DAY, "Until: 24:00"), 2, "after which the value is missing"),
     "decimal comma": ((*DAY, "Until: 24:00", 0, 5), 4, "where a field such as 'Until: 24:00' is expected"),
     "two values": ((*DAY, "Until: 12:00", 1.0, 2.0, "Until: 24:00", 1.0), 4, "'Until: 24:00' is expected"),
@@ -113,6 +114,12 @@ DAYS = {f"{day}_schedule_day_name": "D" for day in ("sunday", "monday", "tuesday
 ALL_DAYS = {"W": {"data": [{"daytype_list": "For: AllDays", "schedule_day_name": "D"}]}}
 
 
+def compact(fields: tuple[Any, ...]) -> dict[str, Any]:
+    """A schedule of a model with these fields; an empty text is a blank one."""
+    entries = [{"field": field} if field != "" else {} for field in fields]
+    return {"Schedule:Compact": {"S": {"schedule_type_limits_name": "Any number", "data": entries}}}
+
+
 def dates(*ends: tuple[int, int, int, int]) -> dict[str, Any]:
     """A Schedule:Year with a week for each range of dates: month and day of its start and of its end."""
     names = ("start_month", "start_day", "end_month", "end_day")
@@ -160,6 +167,7 @@ DATES = {
 """Dates of special days and of daylight saving time, and what the error says."""
 
 OTHERS: dict[str, tuple[dict[str, Any], str, str]] = {
+    "compact, value with a sign in epJSON": (compact((*DAY, "Until: 24:00", "+1")), "data[3].field", "is a number"),
     "interval": (of_day("Schedule:Day:Interval", data=[INTERVAL]), "", ""),
     "interval, without until": (of_day("Schedule:Day:Interval", data=[INTERVAL | {"time": "24:00"}]), "", ""),
     "interval, day ends early": (
@@ -192,12 +200,6 @@ OTHERS: dict[str, tuple[dict[str, Any], str, str]] = {
        for kind in ("DaylightSavingTime", "SpecialDays") for text, words in DATES.items()},
 }  # fmt: skip
 """Objects of other schedules and of dates, the field that is wrong, and what its error says."""
-
-
-def compact(fields: tuple[Any, ...]) -> dict[str, Any]:
-    """A schedule of a model with these fields; an empty text is a blank one."""
-    entries = [{"field": field} if field != "" else {} for field in fields]
-    return {"Schedule:Compact": {"S": {"schedule_type_limits_name": "Any number", "data": entries}}}
 
 
 @pytest.mark.parametrize("case", REFUSED)
