@@ -17,6 +17,7 @@ from zenostat.models.building.diagnostics import Severity, cached_diagnostics, d
 from zenostat.models.building.edits import Edits, apply_edits
 from zenostat.models.building.external_files import with_absolute_paths
 from zenostat.models.building.run_needs import changed_timesteps, simulation_control
+from zenostat.models.building.schedule_fields import is_in_year
 from zenostat.models.building.source_lines import read_source
 from zenostat.models.catalog import Entry
 from zenostat.models.input_format.encoding import check_encoding, decode_epjson, decode_idf
@@ -101,6 +102,7 @@ class Building:
         if over_new_year and last < first:
             last = parse_day(end, "end", first.year + 1)  # the same day if it has a year
         by_year = str(self.run_period.get("treat_weather_as_actual")).casefold() == "yes"
+        self._check_special_days(first.year)
         return Period(first, last, steps_per_hour, by_year)
 
     def _check_own_days(self) -> None:
@@ -120,6 +122,24 @@ class Building:
         if end < begin:
             missing = "" if self.run_period.get("begin_year") else " (it has no begin_year)"
             raise self._run_period_error("end_year", f"ends in {end[0]}, but begins in {begin[0]}{missing}")
+
+    def _check_special_days(self, year: int) -> None:
+        """Check that the year of the run period has the dates of special days and of daylight saving time.
+
+        Whether EnergyPlus counts the 29 February of a leap year depends on the weather file; it decides itself.
+        """
+        if isleap(year):
+            return
+        for kind in ("RunPeriodControl:SpecialDays", "RunPeriodControl:DaylightSavingTime"):
+            for name, fields in self.objects.get(kind, {}).items():
+                for end in ("start_date", "end_date"):
+                    text = str(fields.get(end, ""))
+                    if not is_in_year(text, year):
+                        raise InvalidConfig(
+                            f"{kind} {name!r} of {self._place(kind, name, end)} has {end} {text!r}, which {year} does "
+                            "not have; choose a run period in another year, or the last such weekday, as in 'Last "
+                            "Sunday in March'"
+                        )
 
     def _run_period_error(self, field: str, text: str) -> InvalidConfig:
         """Return an error of the model's own run period."""

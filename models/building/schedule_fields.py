@@ -7,6 +7,7 @@ was tried with EnergyPlus itself (`tests/models/test_schedule_rules.py`).
 from __future__ import annotations
 
 import re
+from calendar import monthrange
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import date, timedelta
@@ -109,18 +110,36 @@ def check_date(text: str) -> None:
     Raises:
         FieldError: EnergyPlus does not accept it.
     """
-    parts = _date_words(text)
     try:
         day_of_year(text)
     except FieldError:
-        if len(parts) == 3 and _is_ordinal(parts[0]):
-            names = parts[1][:3], parts[2][:3]
-            if any(day in _WEEK and month in _MONTHS for day, month in (names, names[::-1])):
-                return
-        if all(number(part) is not None for part in parts):
+        if _weekday_of_month(text) is not None:
+            return
+        if all(number(part) is not None for part in _date_words(text)):
             raise
         expected = "expected one such as '31 Dec', '1st Sunday in May' or 'Last Sunday in May'"
         raise FieldError(f"which is no date; {expected}") from None
+
+
+def is_in_year(text: str, year: int) -> bool:
+    """Return whether a year has a date that is a weekday of a month: not all have a `5th Sunday in March`."""
+    weekday = _weekday_of_month(text)
+    if weekday is None:
+        return True
+    ordinal, day, month = weekday
+    first, length = monthrange(year, month)  # the weekday of the first day, from Monday
+    return ordinal < 5 or 1 + (day - 1 - first) % 7 + 28 <= length
+
+
+def _weekday_of_month(text: str) -> tuple[int, int, int] | None:
+    """Return ordinal (0: the last), day of the week (0: Sunday) and month of such a date; None of another text."""
+    parts = _date_words(text)
+    if len(parts) == 3 and _is_ordinal(parts[0]):
+        names = parts[1][:3], parts[2][:3]
+        for day, month in (names, names[::-1]):
+            if day in _WEEK and month in _MONTHS:
+                return int(number(parts[0]) or 0), _WEEK.index(day), _MONTHS.index(month) + 1
+    return None
 
 
 def _is_ordinal(word: str) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +10,13 @@ import pytest
 from support.box_model import box_model, exit_code
 
 from zenostat.models.building.diagnostics import Severity, diagnose
+from zenostat.models.building.model import Building
+from zenostat.models.building.schedule_fields import is_in_year
 from zenostat.models.building.schedule_rules import schedule_findings
 from zenostat.models.input_format.idf_reader import parse_idf
 from zenostat.models.input_format.idf_writer import write_idf
 from zenostat.models.input_format.layout import engine_layout
+from zenostat.topics.errors import InvalidConfig
 
 ON = ("For: AllDays", "Until: 24:00", 1.0)
 YEAR = "Through: 12/31"
@@ -240,6 +244,31 @@ def test_schedule_findings__warn_of_a_day_of_a_year_that_no_calendar_has() -> No
     assert "the month is first" in finding.text
 
 
+@pytest.mark.parametrize(
+    ("text", "years"),
+    [
+        ("5th Monday in February", {2016}),
+        ("5th Sunday in March", {2019, 2020}),
+        ("5 March Friday", {2017, 2018, 2019}),
+        ("4th Monday in February", range(2016, 2021)),
+        ("Last Monday in February", range(2016, 2021)),
+        ("31 March", range(2016, 2021)),
+    ],
+)
+def test_is_in_year__not_all_years_have_a_fifth_weekday(text: str, years: Collection[int]) -> None:
+    assert [year for year in range(2016, 2021) if is_in_year(text, year)] == [*years]
+
+
+@pytest.mark.parametrize(("kind", "end"), [("SpecialDays", "start_date"), ("DaylightSavingTime", "end_date")])
+def test_period__year_has_the_dates_of_special_days(kind: str, end: str) -> None:
+    days = {"RunPeriodControl:" + kind: {"R": {"start_date": "1/1", end: "5th Sunday in March"}}}
+    model = Building("m", box_model() | days, "")
+    for year in (2016, 2019):  # a leap year is left to EnergyPlus
+        assert model.period(f"{year}-03-01", f"{year}-03-02", None).begin.year == year
+    with pytest.raises(InvalidConfig, match=f"{end} '5th Sunday in March', which 2017 does not have; choose"):
+        model.period("2017-03-01", "2017-03-02", None)
+
+
 @pytest.mark.slow
 @pytest.mark.process
 def test_schedule_findings__energyplus_ends_at_exactly_those_that_are_fatal(tmp_path: Path) -> None:
@@ -253,3 +282,18 @@ def test_schedule_findings__energyplus_ends_at_exactly_those_that_are_fatal(tmp_
         if is_refused != (code != 0):
             differing[case] = code
     assert differing == {}
+
+
+@pytest.mark.slow
+@pytest.mark.process
+@pytest.mark.parametrize("kind", ["SpecialDays", "DaylightSavingTime"])
+def test_is_in_year__energyplus_ends_in_a_year_without_the_date(kind: str, tmp_path: Path) -> None:
+    text = "5th Sunday in March"
+    codes = {}
+    for year in (2017, 2019):
+        period = {"begin_month": 1, "begin_day_of_month": 1, "end_month": 1, "end_day_of_month": 1}
+        model = box_model("S") | with_date(kind, text)
+        model["RunPeriod"] = {"Day": {**period, "begin_year": year, "end_year": year}}
+        codes[year] = exit_code(model, tmp_path / str(year))
+    assert {year: code == 0 for year, code in codes.items()} == {2017: False, 2019: True}
+    assert {year: is_in_year(text, year) for year in codes} == {2017: False, 2019: True}
