@@ -99,7 +99,7 @@ class NodeServer:
         self._warnings = plant if isinstance(plant, WarningPlant) else None
         self._waiting = plant if isinstance(plant, WaitingPlant) else None
         if self._waiting is not None:
-            self._waiting.on_waiting = lambda reason: self.event(self.exchange.event(EventKind.WARNING, reason))
+            self._waiting.on_waiting = self._warn
         self.exchange, self.history, self.alarms = exchange, history, alarms
         self._observer = observer
         self._close = ExitStack()
@@ -289,9 +289,13 @@ class NodeServer:
         """Publish the plant's warnings of the last timesteps as events."""
         if self._warnings is not None:
             for text in self._warnings.drain_step_warnings():
-                if len(self.plant_warnings) < MAX_PLANT_WARNINGS:
-                    self.plant_warnings[text] = None
-                self.event(self.exchange.event(EventKind.WARNING, text))
+                self._warn(text)
+
+    def _warn(self, text: str) -> None:
+        """Publish a warning of the plant."""
+        if len(self.plant_warnings) < MAX_PLANT_WARNINGS:
+            self.plant_warnings[text] = None
+        self.event(self.exchange.event(EventKind.WARNING, text))
 
     def _announce_end(self) -> None:
         """Publish the event of the end, once the episodes of all slots are over."""
