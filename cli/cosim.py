@@ -123,7 +123,7 @@ def cosim(
 
 
 def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool, once: bool) -> None:
-    from zenostat.cli.node import ProgressBar, start
+    from zenostat.cli.node import ProgressBar, log_events, start
     from zenostat.cosim.node import district_node, read_settings
 
     config = read_settings(settings)
@@ -139,6 +139,7 @@ def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool, once: bool) ->
         watch = _Watch(ProgressBar(bars, config.name or config.district.stem), once=once)
         create = partial(district_node, observer=watch, program=True, check_reward=check_reward)
         node = start(stack, config, create, is_endpoint_explicit=is_endpoint_explicit)
+        log_events(node)
         node.serve()
         plant: DistrictPlant = node.plant  # type: ignore[assignment]
         failure, elapsed_s = node.server.failure, node.exchange.step[0] * node.manifest.step_s

@@ -214,8 +214,7 @@ def _serve(config: NodeSettings, create: Callable[..., Node], *, is_endpoint_exp
         observer.warning = lambda: running.namesake_warning or running.link_warning or running.expiry_warning
         if running.recording is not None:
             out.print(f"{config.name}: {describe_recording(running.recording)}")
-        if out.is_json:
-            running.server.on_event = partial(_log_event, config.name)
+        log_events(running)
         running.serve()
         statistics, controllers = running.server.statistics(), running.exchange.controllers()
     if not out.is_json:
@@ -223,6 +222,12 @@ def _serve(config: NodeSettings, create: Callable[..., Node], *, is_endpoint_exp
     if running.recording is not None:
         out.print(f"{config.name}: {describe_recording(running.recording)}")
     out.print(f"{config.name}: ended")
+
+
+def log_events(node: Node) -> None:
+    """Add the events of a node from now on to the log, if there is one."""
+    if out.is_json:
+        node.server.on_event = partial(_log_event, node.manifest.node)
 
 
 def _log_event(node: str, event: Event) -> None:

@@ -1,6 +1,7 @@
 """Districts in real processes: exact, recorded, killed, and with plants that are lost."""
 
 import importlib.util
+import json
 import re
 import shutil
 import signal
@@ -216,6 +217,24 @@ def test_district__controller_reset_and_solved_loop(scratch: Path) -> None:
         assert rows["loop.boiler-house.trials"][1:].max() <= 3.0  # the loop is linear
         link.reset()
         bus.drop(name, bus.snapshot(name).snapshot)
+
+
+@pytest.mark.slow
+def test_district__log_has_its_events(scratch: Path) -> None:
+    arguments = [
+        "--log",
+        "json",
+        "cosim",
+        str(district(scratch)),
+        "--once",
+        "--listen",
+        f"unixsock-stream/{scratch}/bus",
+    ]
+    done = run_python("-P", "-m", "zenostat.cli.main", *arguments)
+    assert done.returncode == 0, done.stderr
+    entries = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+    (ended,) = [entry for entry in entries if entry.get("kind") == "ended"]
+    assert (ended["node"], ended["level"], ended["step"]) == ("pair", "info", STEPS)
 
 
 @pytest.mark.slow
