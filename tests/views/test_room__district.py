@@ -130,6 +130,10 @@ def test_room__district_shows_its_grid_members_market_and_loop(street: NodeProgr
             connect=[street.endpoint],
         ):  # fmt: skip
             house.get_by_role("link").wait_for()
+            bus.pause("street.house")
+            house.get_by_role("cell", name="paused").wait_for()
+            bus.resume("street.house")
+            house.get_by_role("cell", name="available").wait_for()
             bus.stop("street.house")
             house.get_by_role("link").wait_for(state="hidden")  # though the list of nodes still has it
             assert house.get_by_role("button").is_visible()

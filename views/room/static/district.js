@@ -123,7 +123,11 @@ export class District {
     const anchor = h("a", { href: address({ node: target }, false), onclick: (event) => link(event, { node: target }), hidden: true }, member.name);
     const search = h("button", { class: "plain", onclick: () => change({ table: "points", search: `${member.name}.` }) }, member.name);
     this.nodes = [...(this.nodes ?? []), { target, anchor, search }];
-    const state = (now) => { const value = this.number(now, member.available); return value === null ? ["–"] : value > 0 ? ["available", "better"] : ["lost", "worse"]; };
+    const state = (now) => {
+      if (this.online.get(target)?.paused) return ["paused", "warm"];  // the district waits for it
+      const value = this.number(now, member.available);
+      return value === null ? ["–"] : value > 0 ? ["available", "better"] : ["lost", "worse"];
+    };
     return h("tr", {}, h("th", { scope: "row" }, anchor, search), h("td", {}, member.kind), this.cell(state, {}), this.cell((now) => [this.text(now, member.power)]));
   }
 
@@ -149,10 +153,12 @@ export class District {
     return withUnit(shown(point, this.number(state, place)), point.unit);
   }
 
-  update(state) { for (const show of this.live) show(state); }
+  update(state) { this.state = state; for (const show of this.live) show(state); }
 
-  /** Members whose nodes are on this bus are links. */
-  onOverview(names) {
-    for (const { target, anchor, search } of this.nodes ?? []) { anchor.hidden = !names.has(target); search.hidden = names.has(target); }
+  /** Members whose nodes are on this bus are links; `online` has the entries of these by name. */
+  onOverview(online) {
+    this.online = online;
+    for (const { target, anchor, search } of this.nodes ?? []) { anchor.hidden = !online.has(target); search.hidden = online.has(target); }
+    if (this.state) this.update(this.state);
   }
 }

@@ -72,8 +72,8 @@ export class NodePage {
 
   onOverview(nodes) {
     this.entry = nodes.find((entry) => entry.node === this.node) ?? null;
-    this.names = new Set(nodes.filter((entry) => entry.online).map((entry) => entry.node));
-    this.district?.onOverview(this.names);
+    this.online = new Map(nodes.filter((entry) => entry.online).map((entry) => [entry.node, entry]));
+    this.district?.onOverview(this.online);
     if (this.state && this.description) this.showEntry();
     if (!this.entry && !this.description) fill(this.root, h("p", { class: "empty", role: "status" }, `No node ${this.node} is on this bus.`));
   }
@@ -174,7 +174,7 @@ export class NodePage {
       const body = h("div");
       grid.prepend(panel(description.systems.members.length ? "District" : "Electric grid", { class: "panel district-panel" }, body));
       this.district = new District(body, this.node, description);
-      this.district.onOverview(this.names ?? new Set());
+      this.district.onOverview(this.online ?? new Map());
     }
     this.schematic = null;
     if (description.systems?.loops.length || description.systems?.zones.length) {
