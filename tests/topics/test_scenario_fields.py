@@ -127,8 +127,15 @@ def test_scenario_fields__settings_that_are_no_arguments_follow_their_options(mo
 def test_scenario_fields__help_of_a_command_has_the_same_sentence(command: str, names: list[str]) -> None:
     parameters = get_command(app).commands[command].params  # type: ignore[attr-defined]
     help_texts = {parameter.name: parameter.help for parameter in parameters}
-    named = [name for name in names if f"no_{name}" not in help_texts]  # the others say what their option does
-    assert [name for name in named if not help_texts[name].startswith(MEANING[name])] == []
+    described = [name for name in names if f"no_{name}" not in help_texts]  # an option that turns it off says that
+    assert [name for name in described if not help_texts[name].startswith(MEANING[name])] == []
+
+
+def test_scenario_fields__help_of_an_option_that_turns_something_off_says_so() -> None:
+    parameters = get_command(app).commands["node"].params  # type: ignore[attr-defined]
+    help_texts = {parameter.name: parameter.help for parameter in parameters if parameter.name.startswith("no_")}
+    assert {"no_monitoring", "no_shrink_caches"} <= help_texts.keys()
+    assert [name for name, text in help_texts.items() if not text.startswith(("Do not ", "Leave ", "Only "))] == []
 
 
 def test_scenario_fields__schema_of_scenario_files_describes_each_field() -> None:
