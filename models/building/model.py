@@ -17,7 +17,7 @@ from zenostat.models.building.diagnostics import Severity, cached_diagnostics, d
 from zenostat.models.building.edits import Edits, apply_edits
 from zenostat.models.building.external_files import with_absolute_paths
 from zenostat.models.building.run_needs import changed_timesteps, simulation_control
-from zenostat.models.building.schedule_fields import is_in_year
+from zenostat.models.building.schedule_fields import DATED, missing_date
 from zenostat.models.building.source_lines import read_source
 from zenostat.models.catalog import Entry
 from zenostat.models.input_format.encoding import check_encoding, decode_epjson, decode_idf
@@ -130,16 +130,14 @@ class Building:
         """
         if isleap(year):
             return
-        for kind in ("RunPeriodControl:SpecialDays", "RunPeriodControl:DaylightSavingTime"):
+        for kind in DATED:
             for name, fields in self.objects.get(kind, {}).items():
-                for end in ("start_date", "end_date"):
-                    text = str(fields.get(end, ""))
-                    if not is_in_year(text, year):
-                        raise InvalidConfig(
-                            f"{kind} {name!r} of {self._place(kind, name, end)} has {end} {text!r}, which {year} does "
-                            "not have; choose a run period in another year, or the last such weekday, as in 'Last "
-                            "Sunday in March'"
-                        )
+                if end := missing_date(fields, year):
+                    raise InvalidConfig(
+                        f"{kind} {name!r} of {self._place(kind, name, end)} has {end} {fields[end]!r}, which {year} "
+                        "does not have; choose a run period in another year, or the last such weekday, as in 'Last "
+                        "Sunday in March'"
+                    )
 
     def _run_period_error(self, field: str, text: str) -> InvalidConfig:
         """Return an error of the model's own run period."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from calendar import monthrange
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import date, timedelta
 from math import isfinite
@@ -23,6 +23,9 @@ DAY_TYPES = (
     *("Holiday", "SummerDesignDay", "WinterDesignDay", "CustomDay1", "CustomDay2"),
 )
 """The day types for which each day of a schedule needs values."""
+
+DATED = ("RunPeriodControl:SpecialDays", "RunPeriodControl:DaylightSavingTime")
+"""Objects with dates that can be weekdays of a month."""
 
 LAST_DAY = 366
 """31 December, counted in a leap year."""
@@ -129,6 +132,12 @@ def is_in_year(text: str, year: int) -> bool:
     ordinal, day, month = weekday
     first, length = monthrange(year, month)  # the weekday of the first day, from Monday
     return ordinal < 5 or 1 + (day - 1 - first) % 7 + 28 <= length
+
+
+def missing_date(fields: Mapping[str, Any], year: int) -> str:
+    """Return the field of special days, or of daylight saving time, whose date a year does not have; empty if none."""
+    ends = ("start_date", "end_date")
+    return next((end for end in ends if not is_in_year(str(fields.get(end, "")), year)), "")
 
 
 def _weekday_of_month(text: str) -> tuple[int, int, int] | None:

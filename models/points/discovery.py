@@ -14,6 +14,7 @@ from zenostat.models import energyplus
 from zenostat.models.building.diagnostics import check_meters, suspects
 from zenostat.models.building.model import Building, check_runnable, for_episode, write
 from zenostat.models.building.run_needs import lacks_design_days
+from zenostat.models.building.schedule_fields import DATED, missing_date
 from zenostat.models.building.source_lines import locator
 from zenostat.models.run_period import Period
 from zenostat.models.weather import design_days
@@ -115,8 +116,13 @@ def discover(building: Building, weather: Path) -> PointCatalog:
     def make(target: Path) -> None:
         folder, file = target.parent, building.file or building.name
         header = read_header(weather)
-        objects = for_episode(building, _any_day(building, header), outputs=False)
+        day = _any_day(building, header)
+        objects = for_episode(building, day, outputs=False)
         objects["RunPeriod"]["zenostat"].pop("treat_weather_as_actual", None)
+        # The year of a run period may have a fifth weekday of a month that this day's year lacks.
+        for kind in (each for each in DATED if each in objects):
+            named = objects[kind].items()
+            objects[kind] = {name: fields for name, fields in named if not missing_date(fields, day.begin.year)}
         if lacks_design_days(objects):
             objects = design_days.apply(objects, design_days.site(weather, header))
         model = write(objects | _LISTS, folder)

@@ -13,9 +13,11 @@ from zenostat.models.building.diagnostics import Severity, diagnose
 from zenostat.models.building.model import Building
 from zenostat.models.building.schedule_fields import is_in_year
 from zenostat.models.building.schedule_rules import schedule_findings
+from zenostat.models.catalog import bundled_weathers
 from zenostat.models.input_format.idf_reader import parse_idf
 from zenostat.models.input_format.idf_writer import write_idf
 from zenostat.models.input_format.layout import engine_layout
+from zenostat.models.points.discovery import discover
 from zenostat.topics.errors import InvalidConfig
 
 ON = ("For: AllDays", "Until: 24:00", 1.0)
@@ -297,3 +299,6 @@ def test_is_in_year__energyplus_ends_in_a_year_without_the_date(kind: str, tmp_p
         codes[year] = exit_code(model, tmp_path / str(year))
     assert {year: code == 0 for year, code in codes.items()} == {2017: False, 2019: True}
     assert {year: is_in_year(text, year) for year in codes} == {2017: False, 2019: True}
+    assert discover(Building("box", model, str(tmp_path)), bundled_weathers()[0].path).meters, (
+        "it does not depend on the year"
+    )
