@@ -298,20 +298,21 @@ class EngineClient:
             EngineDied: the process ended.
             EngineUnresponsive: the process neither answered nor used processor time, and was killed.
         """
-        got, size = self._polling.wait(self._try_read, self._read), len(self._frame_bytes)
-        if got < size and not (got and fill(self._frames, self._frame_bytes[got:], self._watchdog())):
-            raise self._exit_error()
-        kind = self.frame.kind
+        self._receive_frame()
+        while (kind := self.frame.kind) == _WARNING:
+            self.warnings.append(self._receive_text(self.frame.number))
+            self._receive_frame()
         if kind == _FAILED:
             raise self._failure(self.frame.number)
-        if kind == _WARNING:
-            self.warnings.append(self._receive_text(self.frame.number))
-            self.receive()
-            return
         self._order = ""
         self.last = kind == _LAST
         if self._placement is not None:
             self._placement.count(self._process.pid)
+
+    def _receive_frame(self) -> None:
+        got, size = self._polling.wait(self._try_read, self._read), len(self._frame_bytes)
+        if got < size and not (got and fill(self._frames, self._frame_bytes[got:], self._watchdog())):
+            raise self._exit_error()
 
     def _receive_text(self, length: int) -> str:
         raw = bytearray(length)
