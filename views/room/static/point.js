@@ -2,7 +2,7 @@
 
 import { get, nodePath, operate } from "./api.js";
 import { fill, h, icon, refill, setText } from "./dom.js";
-import { duration, exact, hoursBefore, shortTime, shown, withUnit, words } from "./format.js";
+import { exact, hoursBefore, shortTime, shown, withUnit, words } from "./format.js";
 import { eventItem } from "./panels.js";
 import { forOperators, mayChange, refusalNote } from "./session.js";
 import { chart, loadHistory } from "./trends.js";
@@ -13,6 +13,11 @@ const DURATIONS = [[3600, "1 h"], [7200, "2 h"], [14400, "4 h"], [28800, "8 h"],
 
 function priorityName(number) {
   return PRIORITIES[number] ? `${number} · ${PRIORITIES[number]}` : String(number);
+}
+
+/** A list of the 16 priorities to choose from. */
+export function prioritySelect(id) {
+  return h("select", { id }, Array.from({ length: 16 }, (_, place) => h("option", { value: place + 1 }, priorityName(place + 1))));
 }
 
 export class PointPanel {
@@ -55,7 +60,7 @@ export class PointPanel {
     const { point } = this;
     const bounds = { low: point.low ?? undefined, high: point.high ?? undefined };
     this.input = h("input", { id: "override", type: "number", step: "any", min: bounds.low, max: bounds.high, required: true });
-    this.priority = h("select", { id: "priority" }, Array.from({ length: 16 }, (_, place) => h("option", { value: place + 1 }, priorityName(place + 1))));
+    this.priority = prioritySelect("priority");
     this.priority.value = "8";
     this.duration = h("select", { id: "duration" }, DURATIONS.map(([value, text]) => h("option", { value }, text)));
     this.duration.value = "7200";
@@ -167,5 +172,3 @@ export function names(text, name) {
   const escaped = name.replace(/[\\^$.*+?()[\]{}|/]/g, "\\$&");
   return new RegExp(`(?<![\\p{L}\\p{N}_][.-]?)${escaped}(?![.-]?[\\p{L}\\p{N}_])`, "u").test(text);
 }
-
-export { duration, DURATIONS, priorityName };

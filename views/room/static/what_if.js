@@ -3,7 +3,7 @@
 import { changeNode, copyText, get, nodePath, post, toast } from "./api.js";
 import { fill, h, refill, setAttribute, setText } from "./dom.js";
 import { counted, dateTime, duration, num, seconds, shown, words } from "./format.js";
-import { priorityName } from "./point.js";
+import { prioritySelect } from "./point.js";
 import { field } from "./schema_form.js";
 import { mayChange, refusalNote } from "./session.js";
 import { chart, swatch } from "./trends.js";
@@ -37,7 +37,7 @@ export class WhatIfPanel {
     this.controllers = new ControllerForm(this.bodies.controller, node);
     this.hours = h("select", { id: "hours" }, lengths(description).map((hours) => h("option", { value: hours }, `${num(hours)} h`)));
     this.hours.value = String(Math.max(...lengths(description).filter((hours) => hours <= 24)));
-    this.priority = h("select", { id: "what-if-priority" }, Array.from({ length: 16 }, (_, place) => h("option", { value: place + 1 }, priorityName(place + 1))));
+    this.priority = prioritySelect("what-if-priority");
     this.button = h("button", { class: "primary" }, "Simulate");
     fill(root,
       h("form", { class: "stack", onsubmit: (event) => { event.preventDefault(); this.run(); } },
