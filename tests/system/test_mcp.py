@@ -287,6 +287,7 @@ async def test_mcp__report_is_words_and_with_a_folder_a_file(
         async with Client(tools.sdk) as client:
             so_far = await ask(client, "make_report", node="office")
             ahead = await ask(client, "make_report", node="office", hours=4)
+            compared = await ask(client, "compare_with_baseline", node="office", hours=4)
     for report in (so_far, ahead):
         assert "controlled" not in " ".join(report["result"])  # no part of a longer run
         assert Path(report["file"]).parent == tmp_path
@@ -295,6 +296,7 @@ async def test_mcp__report_is_words_and_with_a_folder_a_file(
     assert "baseline" in ahead["result"][0]
     begin, end = (datetime.fromisoformat(ahead[moment]) for moment in ("from", "to"))
     assert end - begin == timedelta(hours=4)
+    assert (ahead["from"], ahead["to"]) == (compared["from"], compared["to"])
 
 
 @pytest.fixture

@@ -110,8 +110,7 @@ class MakeReport(Tool):
             trajectories = {self.node: _so_far(desk, description)}
         else:
             futures = {"baseline": Future(is_relinquished=True), "present control": Future()}
-            step_h = description.manifest.step_h  # a trajectory begins with the sample after the first timestep
-            samples = _simulate(desk, description, futures, self.hours + step_h)
+            samples = _simulate(desk, description, futures, self.hours)
             trajectories = {name: _trajectory(description, each) for name, each in samples.items()}
         comparison = _comparison(trajectories)
         first = next(iter(trajectories.values()))

@@ -125,7 +125,7 @@ def simulate_futures(
     operator: str,
     on_branch: Callable[[str], object] = lambda _: None,
 ) -> dict[str, list[Sample]]:
-    """Return the samples of the next hours under several commands, equally many for each.
+    """Return the present sample and those of the next hours under several commands, equally many for each.
 
     Args:
         bus: connection to the bus.
@@ -176,10 +176,10 @@ def simulate_futures(
                 bus.write(branch, point, value, priority=future.priority, source=operator)
             branches[name] = branch
         samples = {name: _simulate(bus, branch, steps, futures[name]) for name, branch in branches.items()}
-    steps = min(map(len, samples.values()))
-    if not steps:
+    count = min(map(len, samples.values()))
+    if count < 2:
         raise RequestRejected("the episode is over")
-    return {name: each[:steps] for name, each in samples.items()}
+    return {name: each[:count] for name, each in samples.items()}
 
 
 def _check_values(manifest: Manifest, values: Mapping[str, float | None]) -> None:
@@ -211,7 +211,7 @@ def _relinquish_controllers(bus: Bus, node: str, branch: str, operator: str) -> 
 
 
 def _simulate(bus: Bus, branch: str, steps: int, future: Future) -> list[Sample]:
-    """Simulate a branch with its commands as they are, or with those of a controller; return its samples."""
+    """Simulate a branch with its commands as they are, or with a controller's; return its present and next samples."""
     # Without a controller nothing is commanded, so no actuator is claimed.
     claimed: list[str] | None = [] if future.controller is None else None
     link = open_link(bus, branch, name="what-if", priority=future.priority, actuators=claimed)
@@ -219,8 +219,8 @@ def _simulate(bus: Bus, branch: str, steps: int, future: Future) -> list[Sample]
         first = bus.latest(branch)
         steps = min(steps, link.manifest.steps - first.step[0])
         if future.controller is not None:
-            return _controlled(link, first, steps, future.controller(link.manifest))
-        return _as_it_is(link, first, steps)
+            return [first, *_controlled(link, first, steps, future.controller(link.manifest))]
+        return [first, *_as_it_is(link, first, steps)]
     finally:
         link.close()
 
@@ -293,11 +293,16 @@ def _steps_per_request(manifest: Manifest) -> int:
 
 
 def futures_content(description: NodeDescription, futures: Mapping[str, list[Sample]]) -> dict[str, Any]:
-    """Return the episode, begin and times, and for each future the values of all points and the totals."""
+    """Return the episode, begin and times, and for each future the values of all points and the totals.
+
+    Args:
+        description: of the node.
+        futures: samples by the name of the future, the one at its begin first; see `simulate_futures`.
+    """
     manifest = description.manifest
     width, actuators = len(manifest.points), len(manifest.actuators)
     result: dict[str, Any] = {}
-    for name, samples in futures.items():
+    for name, (_, *samples) in futures.items():
         # Faults change what is measured, not what the building uses.
         raw = [sample.fault_free_values or sample.values for sample in samples]
         values = np.stack([codec.floats(each, (width,), "values") for each in raw])
