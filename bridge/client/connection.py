@@ -230,6 +230,12 @@ class Connection:
         names = {keys.node_of(str(r.ok.key_expr)) for r in replies if r.ok}
         return sorted(filter(keys.is_name, names))  # a stranger's may have another form
 
+    def check_link(self) -> None:
+        """Raise `NodeNotFound` if this connection has lost its link; Zenoh goes on connecting by itself."""
+        if not self.session.info.links():
+            reason = self._expired(self.endpoint) or "nobody listens there, or the network is interrupted"
+            raise NodeNotFound(f"the connection to {self.endpoint} is lost: {reason}")
+
     def controllers(self) -> list[tuple[str, str]]:
         """Return pairs (node, controller) of all controllers on the bus, sorted."""
         replies = self.session.liveliness().get(keys.CONTROLLER_TOKEN.everywhere())

@@ -2,6 +2,7 @@
 
 import json
 import stat
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,9 +17,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support import builders
 from support.examples import examples
+from support.nodes import free_port, until
 
+import zenostat
 from zenostat.bridge.client.history import History
 from zenostat.bridge.client.priorities import PriorityValue
+from zenostat.bridge.transport.session import open_session
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import (
     AccessDenied,
@@ -366,6 +370,19 @@ def test_list_nodes__branches_neither_displace_nodes_nor_count(others: int, not_
     listed = [node["node"] for node in content.data["nodes"]]
     assert listed[:3] == ["a", "a.north", "z000"]
     assert (len(listed), content.data["not_listed"]) == (others + 2 - not_listed, not_listed)
+
+
+def test_list_nodes__lost_connection_is_no_empty_bus() -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with ExitStack() as node, ExitStack() as stack:
+        node.enter_context(open_session(listen=[endpoint]))
+        desk: Any = SimpleNamespace(bus=stack.enter_context(zenostat.connect(endpoint, affinity="off")))
+        assert call(desk, "list_nodes", {})[0].data == {"nodes": [], "not_listed": 0}
+        node.close()
+        until(lambda: call(desk, "list_nodes", {})[1], "the connection is lost")
+        content, _ = call(desk, "list_nodes", {})
+    assert content.data["error"] == "NodeNotFound"
+    assert f"the connection to {endpoint} is lost" in content.data["message"]
 
 
 def test_read_history__minimum_mean_and_maximum_are_of_all_samples() -> None:

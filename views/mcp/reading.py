@@ -42,6 +42,8 @@ class ListNodes(Tool):
     @override
     def run(self, desk: Desk) -> Content:
         names = _names(desk)
+        if not names:
+            desk.bus.check_link()
         entries = [entry for name in names[:_MAX_NODES] if (entry := _entry(desk, name)) is not None]
         return Content({"nodes": entries, "not_listed": max(0, len(names) - _MAX_NODES)})
 
