@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import zenoh
 
 pytest.importorskip("mcp")
 
@@ -28,6 +29,7 @@ from zenostat.topics.errors import (
     AccessDenied,
     BadMessage,
     InvalidConfig,
+    NodeNotFound,
     PeerError,
     PlantFailed,
     RequestRejected,
@@ -400,14 +402,55 @@ def test_read_history__minimum_mean_and_maximum_are_of_all_samples() -> None:
     assert content.data["time"] == ["2017-07-03T00:00:00", "2017-07-03T00:00:00.750000", "2017-07-03T00:00:01.500000"]
 
 
-def test_event_log__branches_do_not_displace_their_building() -> None:
+def event_log() -> EventLog:
     session = SimpleNamespace(declare_subscriber=lambda key, callback: None)
-    log = EventLog(SimpleNamespace(session=session))  # type: ignore[arg-type]
-    event = Event(kind=EventKind.CONNECTED, text="a controls at priority 10", step=0)
+    session.liveliness = lambda: SimpleNamespace(declare_subscriber=lambda key, callback, history: None)
+    return EventLog(SimpleNamespace(session=session))  # type: ignore[arg-type]
+
+
+def publish_event(log: EventLog, node: str, text: str = "a controls at priority 10") -> None:
+    payload = SimpleNamespace(to_bytes=lambda: codec.encode(Event(kind=EventKind.CONNECTED, text=text, step=0)))
+    log._add(SimpleNamespace(payload=payload, encoding=codec.encoding(Event), key_expr=keys.EVENT.at(node)))  # type: ignore[arg-type]
+
+
+def publish_token(log: EventLog, node: str, instance: str, kind: Any = zenoh.SampleKind.PUT) -> None:
+    log._on_token(SimpleNamespace(key_expr=keys.NODE_TOKEN.at(node, name=instance), kind=kind))  # type: ignore[arg-type]
+
+
+def test_event_log__branches_do_not_displace_their_building() -> None:
+    log = event_log()
     for node in ("office", "school", *(f"office.{number}" for number in range(600))):
-        payload = SimpleNamespace(to_bytes=lambda: codec.encode(event))
-        log._add(SimpleNamespace(payload=payload, encoding=codec.encoding(Event), key_expr=keys.EVENT.at(node)))  # type: ignore[arg-type]
+        publish_token(log, node, "1a")
+        publish_event(log, node)
     assert [len(log.latest(node, 9)) for node in ("office", "school", "office.0", "office.599")] == [1, 1, 0, 1]
+
+
+def test_event_log__events_of_a_former_node_of_the_name_are_forgotten() -> None:
+    log = event_log()
+    publish_token(log, "office", "1a")
+    publish_event(log, "office", "of the former")
+    publish_token(log, "office", "1a", zenoh.SampleKind.DELETE)
+    publish_token(log, "office", "1a")  # the connection was interrupted
+    publish_token(log, "office", "1a", zenoh.SampleKind.DELETE)
+    assert [event.text for event in log.latest("office", 9)] == ["of the former"]
+    publish_token(log, "office", "2b")
+    publish_event(log, "office", "of the present one")
+    assert [event.text for event in log.latest("office", 9)] == ["of the present one"]
+
+
+def test_read_events__of_a_node_that_has_ended_can_be_read() -> None:
+    log = event_log()
+    publish_event(log, "office", "the plant failed")
+
+    def description(node: str) -> Any:
+        raise NodeNotFound(f"no node {node!r}")
+
+    desk: Any = SimpleNamespace(events=log, description=description)
+    content, is_error = call(desk, "read_events", {"node": "office"})
+    assert not is_error
+    assert [event["text"] for event in content.data["events"]] == ["the plant failed"]
+    assert content.data["has_ended"]
+    assert call(desk, "read_events", {"node": "school"})[0].data["error"] == "NodeNotFound"
 
 
 def test_call__mistake_of_the_server_shows_its_kind_only(capsys: pytest.CaptureFixture[str]) -> None:

@@ -292,7 +292,8 @@ class ReadAlarms(Tool):
 class ReadEvents(Tool):
     """Read the latest events of a node since this server was started, the newest one last.
 
-    Commands and writes that were not accepted, alarms, controllers that came and went, warnings, resets.
+    Commands and writes that were not accepted, alarms, controllers that came and went, warnings, resets. Those of a
+    node that has ended can be read until another one of its name starts.
     """
 
     name: ClassVar[str] = "read_events"
@@ -302,11 +303,16 @@ class ReadEvents(Tool):
 
     @override
     def run(self, desk: Desk) -> Content:
-        manifest = desk.description(self.node).manifest
         events = [
             event.model_dump(mode="json", exclude={"alarm", "slot"}, exclude_defaults=True)
             for event in desk.events.latest(self.node, self.count)
         ]
+        try:
+            manifest = desk.description(self.node).manifest
+        except (NodeLost, NodeNotFound):
+            if not events:
+                raise
+            return Content({"node": self.node, "has_ended": True, "events": events})
         return Content({"node": self.node, "begin": manifest.begin, "step_s": manifest.step_s, "events": events})
 
 
