@@ -8,11 +8,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from gymnasium import Wrapper
-from gymnasium.vector import VectorWrapper
 
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
-from zenostat.agent_sdk.wrappers.names import inside, layers
+from zenostat.agent_sdk.wrappers.names import chain, inside, layers
 from zenostat.agent_sdk.wrappers.serialization import policy_wrappers
 from zenostat.topics import yaml12
 from zenostat.topics.atomic_file import atomic_file
@@ -50,8 +48,8 @@ def save_wrappers(env: Any, path: str | Path) -> None:
         "wrappers": [{"wrapper": wrapper.name, **wrapper.get()} for wrapper in _stateful_wrappers(env)]
     }
     try:
-        if chain := policy_wrappers(env):
-            content["chain"] = chain
+        if wrappers := policy_wrappers(env):
+            content["chain"] = wrappers
     except InvalidConfig as error:
         content["chain_error"] = str(error)
     path = Path(path)
@@ -116,30 +114,25 @@ def without_logs(states: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]
 @contextmanager
 def frozen_statistics(env: Any) -> Iterator[None]:
     """Keep Gymnasium's running statistics around `env` as they are within the context."""
-    learning = []
-    while isinstance(env, Wrapper | VectorWrapper):
-        if getattr(env, "update_running_mean", False):
-            learning.append(env)
-        env = env.env
+    learning = [layer for layer in chain(env) if getattr(layer, "update_running_mean", False)]
     for layer in learning:
-        layer.update_running_mean = False  # type: ignore[union-attr]
+        layer.update_running_mean = False
     try:
         yield
     finally:
         for layer in learning:
-            layer.update_running_mean = True  # type: ignore[union-attr]
+            layer.update_running_mean = True
 
 
 def _stateful_wrappers(env: Any, prefix: str = "") -> Iterator[_StatefulWrapper]:
     """Yield them from the outermost; those of a `SyncVectorEnv`'s slots as `0/NormalizeObservation` and so on."""
-    while isinstance(env, Wrapper | VectorWrapper):
-        name, kind = prefix + type(env).__name__, type(env).__name__
-        if isinstance(env, BuildingWrapper):
-            yield _StatefulWrapper(name, env.get_state, env.set_state)
-        elif kind in _STATISTICS and type(env).__module__.startswith("gymnasium."):
-            yield _StatefulWrapper(name, *_statistics_accessors(env))
-        env = env.env
-    for slot, inner in enumerate(inside(env)):
+    for layer in chain(env):
+        name, kind = prefix + type(layer).__name__, type(layer).__name__
+        if isinstance(layer, BuildingWrapper):
+            yield _StatefulWrapper(name, layer.get_state, layer.set_state)
+        elif kind in _STATISTICS and type(layer).__module__.startswith("gymnasium."):
+            yield _StatefulWrapper(name, *_statistics_accessors(layer))
+    for slot, inner in enumerate(inside(env.unwrapped)):
         yield from _stateful_wrappers(inner, f"{slot}/")
 
 

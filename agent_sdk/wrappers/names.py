@@ -33,6 +33,13 @@ def layers(env: Any) -> Iterator[Any]:
             return
 
 
+def chain(env: Any) -> Iterator[Any]:
+    """Yield the wrappers around an environment, single or vector, from the outermost; not those within its slots."""
+    while isinstance(env, Wrapper | VectorWrapper):
+        yield env
+        env = env.env
+
+
 def inside(env: Any) -> Sequence[Any]:
     """Return the environments of a vector environment that runs them in this process; else an empty sequence."""
     return (getattr(env, "envs", None) or ()) if isinstance(env, VectorEnv) else ()

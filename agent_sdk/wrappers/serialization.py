@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from functools import partial
 from typing import Any
@@ -20,7 +20,7 @@ from zenostat.agent_sdk.wrappers.episode_log import EpisodeLog
 from zenostat.agent_sdk.wrappers.gymnasium_wrappers import GYMNASIUMS, Trait, wrappers_with
 from zenostat.agent_sdk.wrappers.incremental import DiscreteIncrementalAction, IncrementalAction
 from zenostat.agent_sdk.wrappers.metric_loggers import TensorBoardLog, WeightsAndBiasesLog
-from zenostat.agent_sdk.wrappers.names import layers, reject_wrappers, unknown_arguments
+from zenostat.agent_sdk.wrappers.names import chain, layers, reject_wrappers, unknown_arguments
 from zenostat.agent_sdk.wrappers.numeric_infos import NumericInfos
 from zenostat.agent_sdk.wrappers.observation import (
     CyclicTime,
@@ -164,7 +164,7 @@ def wrappers_of(env: Any) -> list[dict[str, Any]]:
     Raises:
         InvalidConfig: a wrapper or one of its arguments cannot be written as data.
     """
-    return [_entry(layer) for layer in list(_chain(env))[::-1] if type(layer).__name__ not in _CHECKS]
+    return [_entry(layer) for layer in list(chain(env))[::-1] if type(layer).__name__ not in _CHECKS]
 
 
 def policy_wrappers(env: Any) -> list[dict[str, Any]]:
@@ -178,19 +178,13 @@ def policy_wrappers(env: Any) -> list[dict[str, Any]]:
     """
     if isinstance(env.unwrapped, AsyncVectorEnv):
         raise InvalidConfig("the wrappers within the processes of an AsyncVectorEnv cannot be read")
-    chain = [layer for layer in layers(env) if isinstance(layer, gym.Wrapper | VectorWrapper)]
-    return [_entry(layer) for layer in chain[::-1] if not _is_left_out(layer)]
+    wrappers = [layer for layer in layers(env) if isinstance(layer, gym.Wrapper | VectorWrapper)]
+    return [_entry(layer) for layer in wrappers[::-1] if not _is_left_out(layer)]
 
 
 def _is_left_out(layer: Any) -> bool:
     kind = type(layer)
     return kind.__name__ in _LEFT_OUT.get(kind.__module__.partition(".")[0], ())
-
-
-def _chain(env: Any) -> Iterator[Any]:
-    while isinstance(env, gym.Wrapper | VectorWrapper):
-        yield env
-        env = env.env
 
 
 def _entry(layer: Any) -> dict[str, Any]:
