@@ -116,11 +116,6 @@ class AgentsEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
         counts = [len(discrete_actions[index].values) for index in agent.action_indices]
         return Discrete(counts[0]) if len(counts) == 1 else MultiDiscrete(counts)
 
-    @property
-    def unwrapped(self) -> AgentsEnv:
-        """The environment itself."""
-        return self
-
     def observation_space(self, agent: str) -> Space[Any]:
         """Return an agent's observation space, always the same object."""
         return self.observation_spaces[self._check_agent(agent)]
@@ -242,9 +237,7 @@ class AgentsEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
         common = {key: value for key, value in info.items() if key not in ("effective", "action", "value_source")}
         infos = {}
         for name, agent in self._agents.items():
-            own = {"effective": info["effective"][agent.actuator_indices]}
-            if "action" in info:
-                own["action"] = info["action"][agent.actuator_indices]
+            own = {key: info[key][agent.actuator_indices] for key in ("effective", "action")}
             sources = [info["value_source"][index] for index in agent.actuator_indices]
             value_source = tuple(name if source == AGENT else source for source in sources)
             infos[name] = {**common, **own, "value_source": value_source}
