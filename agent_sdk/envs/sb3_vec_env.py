@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 
 from zenostat.agent_sdk.envs.connection import BUSY
 from zenostat.agent_sdk.envs.vector_infos import unbatch
-from zenostat.agent_sdk.wrappers.names import inside, layers
+from zenostat.agent_sdk.wrappers.names import chain, inside, layers
 from zenostat.topics.errors import EpisodeChanged, InvalidConfig, UsageError
 from zenostat.topics.extras import requires_extra
 
@@ -119,19 +120,38 @@ class SlotsVecEnv(VecEnv):  # type: ignore[misc,unused-ignore]  # without types 
             return [lambda name, slot=slot: self.get_attr(name, slot)[0] for slot in self._get_indices(indices)]
         if attr_name == "has_wrapper_attr":
             return [self.has_attr for _ in self._get_indices(indices)]
-        for layer in layers(self.env):
-            if isinstance(layer, VectorWrapper) and hasattr(layer, attr_name) and not hasattr(VectorWrapper, attr_name):
-                return [getattr(layer, attr_name) for _ in self._get_indices(indices)]
-        return [getattr(slot, attr_name) for slot in self._slots(indices)]
+        if attr_name == "set_wrapper_attr":
+            return [partial(self._set_wrapper_attr, indices) for _ in self._get_indices(indices)]
+        return [getattr(owner, attr_name) for owner in self._owners(attr_name, indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute of slots."""
-        for slot in self._slots(indices):
-            setattr(slot, attr_name, value)
+        """Set an attribute where `get_attr` reads it: of a wrapper around the vector, else of each slot.
 
-    def _slots(self, indices: VecEnvIndices) -> list[Any]:
-        slots = inside(self.env.unwrapped)
-        return [slots[slot] for slot in self._get_indices(indices)]
+        Raises:
+            InvalidConfig: The attribute of a wrapper around the vector, for some of the slots.
+        """
+        owners = self._owners(attr_name, indices)
+        if len(owners) < self.num_envs and any(isinstance(owner, VectorWrapper) for owner in owners):
+            raise InvalidConfig(
+                f"{attr_name!r} belongs to {type(owners[0]).__name__}, which is around all slots; set it for all"
+            )
+        for owner in owners:
+            setattr(owner, attr_name, value)
+
+    def _set_wrapper_attr(self, indices: VecEnvIndices, name: str, value: Any, *, force: bool = True) -> bool:
+        """Set an attribute as Gymnasium's `set_wrapper_attr`; return whether it was set."""
+        can_set = force or self.has_attr(name)
+        if can_set:
+            self.set_attr(name, value, indices)
+        return can_set
+
+    def _owners(self, name: str, indices: VecEnvIndices) -> list[Any]:
+        """Return the outermost layer with an attribute, for each slot; the innermost if none has it."""
+        for wrapper in chain(self.env):
+            if hasattr(wrapper, name) and not hasattr(VectorWrapper, name):
+                return [wrapper for _ in self._get_indices(indices)]
+        slots = [inside(self.env.unwrapped)[slot] for slot in self._get_indices(indices)]
+        return [next((layer for layer in chain(slot) if hasattr(layer, name)), slot.unwrapped) for slot in slots]
 
     def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
         """Call a method of slots and return the results."""

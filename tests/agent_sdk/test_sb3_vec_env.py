@@ -1,13 +1,14 @@
 """A vector environment as stable-baselines3 takes it: equal to its own vector of single environments."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode
-from gymnasium.wrappers.vector import RecordEpisodeStatistics
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers.vector import NormalizeReward, RecordEpisodeStatistics
 from support.nodes import SMALL
 from support.run_cli import run_python
 
@@ -106,6 +107,38 @@ def test_sb3_vec_env__attributes_and_methods_of_slots() -> None:
     assert ours.metadata == ours.env.metadata
     assert ours.env_is_wrapped(Monitor) == [False] * 3
     assert (ours.render_mode, ours.num_envs) == (None, 3)
+
+
+def test_sb3_vec_env__attributes_of_wrappers_are_set_where_they_are_read() -> None:
+    """Around the vector, or around each environment of a vector of single ones; as in a DummyVecEnv."""
+
+    def single() -> Any:
+        return gym.wrappers.NormalizeReward(w.CyclicTime(FakeEnv(time=("hour",), **DAY), ["hour"]))
+
+    inner = FakeVectorEnv(2, autoreset_mode=SAME, time=("hour",), **DAY)
+    around = as_sb3(NormalizeReward(w.CyclicTime(inner, ["hour"])))
+    theirs, within = DummyVecEnv([single] * 2), as_sb3(SyncVectorEnv([single] * 2, autoreset_mode=SAME))
+    for env in (around, within, theirs):
+        assert env.get_attr("observation_names", 1)[0][-1] == "hour_cos"
+        assert [manifest.building for manifest in env.get_attr("manifest")] == ["fake"] * 2
+        assert env.env_method("has_wrapper_attr", "manifest") == [True] * 2
+        env.set_attr("update_running_mean", False)
+        assert env.get_attr("update_running_mean") == [False] * 2
+        env.reset()
+        counts = [statistics.count for statistics in env.get_attr("return_rms")]
+        env.step(np.stack([env.action_space.sample()] * 2))
+        assert [statistics.count for statistics in env.get_attr("return_rms")] == counts
+        assert env.env_method("set_wrapper_attr", "gamma", 0.5) == [True] * 2
+        assert env.env_method("set_wrapper_attr", "colour", "red", force=False) == [False] * 2
+        assert env.get_attr("gamma") == [0.5] * 2
+        assert not env.has_attr("colour")
+    for env in (within, theirs):
+        env.set_attr("gamma", 0.25, 1)
+        assert env.get_attr("gamma") == [0.5, 0.25]
+    for setter in (around.set_attr, partial(around.env_method, "set_wrapper_attr")):
+        with pytest.raises(InvalidConfig, match="'gamma' belongs to NormalizeReward, which is around all slots"):
+            setter("gamma", 0.25, indices=[1])
+    assert around.get_attr("gamma") == [0.5] * 2
 
 
 def test_sb3_vec_env__gymnasiums_own_statistics_stand_in_the_info_of_the_end() -> None:
