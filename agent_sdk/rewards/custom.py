@@ -152,13 +152,15 @@ class _BoundFunction(BoundReward):
     def __call__(self, values: Floats, begin: Begin) -> Outcome:
         columns = values.tolist() if values.ndim == 1 else np.moveaxis(values, -1, 0)
         result = self._evaluate(self._values(columns), begin)
-        named = result if isinstance(result, Mapping) else {"reward": result}
+        has_terms = isinstance(result, Mapping)
+        named = result if has_terms else {"reward": result}
         if not named:
             raise InvalidConfig(
                 f"reward: {_name(self._function)} returned no terms; a number for each of them expected"
             )
         terms: Terms = {
-            str(name): finite_term(self._function, name, term, values.shape[:-1]) for name, term in named.items()
+            str(name): finite_term(self._function, name, term, values.shape[:-1], is_total=not has_terms)
+            for name, term in named.items()
         }
         total = sum(terms.values(), np.zeros(values.shape[:-1])[()])
         return Outcome(total, terms, {})
@@ -212,8 +214,8 @@ def _attributes(function: Any) -> dict[str, Any]:
     return attributes if isinstance(attributes, dict) else {}
 
 
-def finite_term(function: Any, name: object, term: Any, shape: tuple[int, ...] = ()) -> Any:
-    """Return what a reward function returned for a term, or for an agent, as a number or an array.
+def finite_term(function: Any, name: object, term: Any, shape: tuple[int, ...] = (), *, is_total: bool = False) -> Any:
+    """Return what a reward function returned for a term, for an agent or in total, as a number or an array.
 
     Raises:
         InvalidConfig: it is not finite, or cannot have that shape.
@@ -228,6 +230,7 @@ def finite_term(function: Any, name: object, term: Any, shape: tuple[int, ...] =
         raise InvalidConfig(
             f"reward: {_name(function)} returned {term!r} for {name!r}; a finite number expected"
             + (f", or an array of shape {shape}" if shape else "")
+            + (", or a mapping of terms to numbers" if is_total else "")
         )
     return float(array) if not shape else array
 

@@ -260,6 +260,14 @@ def test_rewards__term_that_is_no_number(term: Any) -> None:
             read_reward(lambda v, b, gives=gives: gives).bind(NODE)(values(), WINTER)
 
 
+def test_rewards__function_that_returns_a_reward_and_its_terms() -> None:
+    pair = (-1.0, {"energy": -1.0})
+    with pytest.raises(InvalidConfig, match=r"a finite number expected, or a mapping of terms to numbers$"):
+        read_reward(lambda v, b: pair).bind(NODE)(values(), WINTER)
+    with pytest.raises(InvalidConfig, match=r"for 'comfort'; a finite number expected$"):
+        read_reward(lambda v, b: {"comfort": pair}).bind(NODE)(values(), WINTER)
+
+
 def test_rewards__function_without_terms() -> None:
     with pytest.raises(InvalidConfig, match="returned no terms; a number for each of them expected"):
         read_reward(lambda v, b: {}).bind(NODE)(values(), WINTER)
