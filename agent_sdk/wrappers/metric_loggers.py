@@ -43,8 +43,9 @@ class MeansLog(WrapperLogic):
 
     def __init__(self, view: EnvView, every: int) -> None:
         super().__init__(view)
-        if not isinstance(every, int | float | np.number) or every < 1:
-            raise InvalidConfig(f"{view.wrapper_name}: every should be a number of steps from 1 on, got {every!r}")
+        is_number = isinstance(every, int | float | np.number) and not isinstance(every, bool)
+        if not is_number or every < 1 or every % 1 != 0:  # NaN and infinity have the remainder NaN
+            raise InvalidConfig(f"{view.wrapper_name}: every = {every!r}; a whole number of steps from 1 on expected")
         reject_wrappers(view.env, ["RewardVector"], f"{view.wrapper_name} logs a scalar reward; apply it before {{}}")
         require_each_timestep(view.env, view.wrapper_name)
         self._names, self._every = [f"observation.{name}" for name in view.names], every

@@ -133,6 +133,12 @@ def test_wrappers__means_of_episodes_and_of_n_steps(monkeypatch: pytest.MonkeyPa
     assert (board.folder, board.closed) == ("here", 1)
 
 
+@pytest.mark.parametrize("every", [10.5, float("nan"), float("inf"), True, 0, -5, "10", None], ids=repr)
+def test_wrappers__interval_of_means_that_is_no_number_of_steps(every: Any) -> None:
+    with pytest.raises(InvalidConfig, match=r"TensorBoardLog: every = .*; a whole number of steps from 1 on expected"):
+        w.TensorBoardLog(fake(), "here", every=every)
+
+
 def test_wrappers__tensorboards_own_files(tmp_path: Path) -> None:
     pytest.importorskip("tensorboardX")
     env = w.TensorBoardLog(fake(), tmp_path)
