@@ -7,13 +7,21 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import partial
+from math import isnan
 from typing import Any
 
 import numpy as np
 
 from zenostat.agent_sdk.testing.report import Check, Report, name_of, raised, run
 from zenostat.bridge.python_plant.api import Plant
-from zenostat.bridge.python_plant.description import ClassDescription, Point, describe, load_class
+from zenostat.bridge.python_plant.description import (
+    ClassDescription,
+    Point,
+    are_texts,
+    describe,
+    load_class,
+    measured_number,
+)
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.points import contains, describe_violation
 
@@ -88,7 +96,7 @@ class _CheckContext:
     def close(self) -> None:
         """Close all instances that are open."""
         for plant in [*self._open]:
-            with suppress(Exception):  # a check of its own reports it
+            with suppress(Exception, SystemExit):  # a check of its own reports it
                 self.close_instance(plant)
 
     @property
@@ -124,12 +132,14 @@ class _CheckContext:
         """Whether a check concerns this plant."""
         try:
             description = self.description
-        except Exception:
+        except (Exception, SystemExit):
             return True  # the first check reports it, and the others are skipped
         if check is _saves:
             return description.has_state
         if check is _closes:
             return description.has_close
+        if check is _warns:
+            return description.has_warnings
         if check is _begins_alike:
             return description.begins_alike
         return check is not _has_no_threads or description.forkable
@@ -183,7 +193,7 @@ def _is_stepped(context: _CheckContext) -> Iterator[str]:
         plant = context.make()
         commands = context.constant(0.5)(0)
         values = [("reset", plant.reset(_SEED)), ("step", plant.step(commands))]
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         yield raised(error, "creating, describing, resetting or stepping it")
         return
     for method, value in values:
@@ -206,16 +216,9 @@ def _finite(context: _CheckContext) -> Iterator[str]:
     reported = set()
     for step, values in enumerate(context.episode):
         for name, value in values.items():
-            if name not in reported and not _is_finite(value):
+            if name not in reported and isnan(measured_number(value)):
                 reported.add(name)
                 yield f"{name} = {value!r} at sample {step}; expected a finite number"
-
-
-def _is_finite(value: Any) -> bool:
-    try:
-        return bool(np.isfinite(float(value)))
-    except (TypeError, ValueError):
-        return False
 
 
 def _bounded(context: _CheckContext) -> Iterator[str]:
@@ -228,8 +231,8 @@ def _bounded(context: _CheckContext) -> Iterator[str]:
         episode = context.play(context.make(), _SEED, context.steps, commands) if commands else context.episode
         for step, values in enumerate(episode):
             for point in context.points:
-                value = values.get(point.name)
-                if point.name not in reported and _is_finite(value) and not contains(point, float(value or 0.0)):
+                value = measured_number(values.get(point.name))
+                if point.name not in reported and not isnan(value) and not contains(point, value):
                     reported.add(point.name)
                     yield f"{describe_violation(point, value)} (at sample {step}, {kind})"
 
@@ -314,6 +317,22 @@ def _saves(context: _CheckContext) -> Iterator[str]:
     )
 
 
+def _warns(context: _CheckContext) -> Iterator[str]:
+    plant, commands = context.make(), context.random_commands(_SEED)
+    plant.reset(_SEED)
+    for step in range(context.steps + 1):
+        if step:
+            plant.step(commands(step - 1))
+        try:
+            texts = plant.drain_warnings()
+        except (Exception, SystemExit) as error:
+            yield raised(error, f"drain_warnings() at sample {step}")
+            return
+        if not are_texts(texts):
+            yield f"drain_warnings() returned {texts!r} at sample {step}; expected a list of texts"
+            return
+
+
 def _has_no_threads(context: _CheckContext) -> Iterator[str]:
     before = set(threading.enumerate())
     plant = context.make()
@@ -347,6 +366,7 @@ PLANT_CHECKS: dict[str, Check[_CheckContext]] = {
     "returns a value of each sensor and meter": _names,
     "values are finite": _finite,
     "values are within bounds": _bounded,
+    "warnings are texts": _warns,
     "commands may be missing": _relinquished,
     "the same seed results in the same episode": _repeatable,
     "all episodes begin alike if it says so": _begins_alike,

@@ -137,13 +137,17 @@ def _errors(check: Check[T], context: T) -> Iterator[str]:
         yield from check(context)
     except NotApplicable:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         yield raised(error)
 
 
 def raised(error: BaseException, subject: str = "it") -> str:
     """Describe an exception in a sentence: `act raised ValueError: ...`."""
-    return f"{subject} raised {type(error).__name__}: {error}".rstrip(": ")
+    try:
+        text = str(error)
+    except Exception:  # of the user's class
+        text = ""
+    return f"{subject} raised {type(error).__name__}: {text}".rstrip(": ")
 
 
 def name_of(subject: object) -> str:

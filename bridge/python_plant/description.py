@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
-from math import inf, isfinite
+from math import inf, isfinite, nan
 from numbers import Real
 from pathlib import Path
 from typing import Any, TypeGuard
@@ -60,6 +60,7 @@ class ClassDescription:
         actions: actuators that are an agent's actions.
         forkable, has_state: whether it can be copied by a fork, or by its state.
         has_close: whether it has something to release at its end.
+        has_warnings: whether it has warnings of its timesteps.
         copy_error: why a plant of the product's cannot be copied.
     """
 
@@ -82,6 +83,7 @@ class ClassDescription:
     actions: tuple[str, ...] = ()
     diagram: dict[str, Any] | None = None
     copy_error: str = ""
+    has_warnings: bool = False
 
 
 def split_name(plant: str) -> tuple[str, str]:
@@ -205,6 +207,7 @@ def describe(plant: Any) -> ClassDescription:
         actions=actions,
         diagram=diagram,
         copy_error=str(getattr(plant, "copy_error", "")),
+        has_warnings=_has(plant, "drain_warnings"),
     )
 
 
@@ -257,7 +260,7 @@ def _model_name(plant: Any, errors: list[str]) -> str:
 
 def _warnings(plant: Any, errors: list[str]) -> tuple[str, ...]:
     texts = getattr(plant, "warnings", ())
-    if not isinstance(texts, list | tuple) or not all(isinstance(text, str) for text in texts):
+    if not are_texts(texts):
         errors.append(f"warnings = {texts!r}: a list of texts expected")
         return ()
     return tuple(texts)
@@ -314,6 +317,20 @@ def _number(plant: Any, name: str, errors: list[str], default: float | None = No
     else:
         return float(value)
     return None
+
+
+def measured_number(value: Any) -> float:
+    """Return a value of a sensor or meter as a number; NaN if it is no finite number: a text is none."""
+    try:
+        number = nan if isinstance(value, str | bytes) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        return nan
+    return number if isfinite(number) else nan
+
+
+def are_texts(texts: Any) -> TypeGuard[Sequence[str]]:
+    """Return whether this is a list of texts, as warnings are."""
+    return isinstance(texts, list | tuple) and all(isinstance(text, str) for text in texts)
 
 
 def _is_finite(value: Any) -> TypeGuard[float]:

@@ -19,7 +19,7 @@ import sys
 import traceback
 from array import array
 from collections.abc import Mapping
-from math import isfinite, nan
+from math import nan
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -33,12 +33,11 @@ from zenostat.bridge.engine.system_calls import (
     reopen_files,
     set_up_process,
 )
-from zenostat.bridge.python_plant.description import create, describe
+from zenostat.bridge.python_plant.description import are_texts, create, describe, measured_number
 from zenostat.bridge.runtime.polling import Polling
 from zenostat.topics.errors import ZenostatError, did_you_mean, to_wire
 
 _SAMPLE, _LAST, _STEP = float(FrameKind.SAMPLE), float(FrameKind.LAST), float(OrderKind.STEP)
-_TEXTS = (str, bytes)  # `float` would convert them
 _OWN_FILES = str(Path(__file__).parent)
 
 
@@ -128,11 +127,8 @@ class PlantHost:
             raise PlantError(f"{self._name}.{method}() at step {self._step} {self._complaint(values)}")
         numbers = []
         for name in self._values:
-            try:
-                value = nan if isinstance(values[name], _TEXTS) else float(values[name])
-            except (TypeError, ValueError, OverflowError):
-                value = nan
-            if not isfinite(value):
+            value = measured_number(values[name])
+            if value != value:
                 raise PlantError(
                     f"{self._name}.{method}() returned {values[name]!r} for {name!r} at step {self._step}; "
                     "a finite number expected"
@@ -161,7 +157,7 @@ class PlantHost:
 
     def _send_warnings(self) -> None:
         texts = self._call("drain_warnings", self._plant.drain_warnings)
-        if not isinstance(texts, list | tuple) or not all(isinstance(text, str) for text in texts):
+        if not are_texts(texts):
             raise PlantError(f"{self._name}.drain_warnings() returned {texts!r}; a list of texts expected")
         for text in texts:
             raw = text.encode(errors="backslashreplace")

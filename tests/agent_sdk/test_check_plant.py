@@ -4,6 +4,7 @@
 
 import itertools
 import re
+import sys
 import threading
 from pathlib import Path
 from typing import Any
@@ -217,6 +218,15 @@ def starts_a_thread(self: Any) -> None:
     self.start_degc = 40.0
 
 
+class Wordless(Exception):
+    def __str__(self) -> str:
+        raise ValueError
+
+
+def raises_what_has_no_text(self: Any, commands: Any) -> Any:
+    raise Wordless
+
+
 threads: list[tuple[threading.Thread, threading.Event]] = []
 
 MUTANTS: dict[str, tuple[Any, dict[str, str]]] = {
@@ -231,6 +241,21 @@ MUTANTS: dict[str, tuple[Any, dict[str, str]]] = {
     "invents a sensor": (changed(pressure=1.0),
         {"returns a value of each sensor and meter": "'pressure' at sample 0 is neither a sensor nor a meter"}),
     "not a number": (changed(level=float("nan")), {"values are finite": "level = nan at sample 0; expected a finite"}),
+    "exits": (mutant(step=lambda self, commands: sys.exit("bye")),
+        {"can be created, reset and stepped": "raised SystemExit: bye"}),
+    "raises what has no text": (mutant(step=raises_what_has_no_text),
+        {"can be created, reset and stepped": "raised Wordless$"}),
+    "exits at once": (mutant(__init__=lambda self: sys.exit("bye")),
+        {"can be created, reset and stepped": "raised SystemExit: bye"}),
+    "exits later": (mutant(save=lambda self: sys.exit("bye")), {"continues from a saved state": "SystemExit: bye"}),
+    "a number as a text": (changed(level="1.5"), {"values are finite": "level = '1.5' at sample 0; expected a finite"}),
+    "too large": (changed(level=10**400), {"values are finite": "level = 10+ at sample 0; expected a finite"}),
+    "warns with a text": (mutant(drain_warnings=lambda self: "hot"),
+        {"warnings are texts": "returned 'hot' at sample 0; expected a list of texts"}),
+    "warns with numbers": (mutant(drain_warnings=lambda self: [self.level] if self.level != 1.0 else []),
+        {"warnings are texts": r"returned \[.*\] at sample [1-9]\d*; expected a list of texts"}),
+    "fails to warn": (mutant(drain_warnings=lambda self: self.warned),
+        {"warnings are texts": r"drain_warnings\(\) at sample 0 raised AttributeError"}),
     "a text": (changed(level="full"), {"values are finite": "level = 'full' at sample 0; expected a finite"}),
     "too hot": (mutant(step=no_limit),
         {"values are within bounds": r"temperature = 9\d.*; its bounds are 20 to 95 degC \(at sample \d+, "}),
