@@ -316,6 +316,14 @@ def test_call_log__earlier_entries_stay_and_long_arguments_are_cut(tmp_path: Pat
     assert max(map(len, lines)) < 5000
 
 
+def test_call_log__number_that_json_does_not_have_is_a_text(tmp_path: Path) -> None:
+    with CallLog(tmp_path / "calls.jsonl") as log:
+        log.begin("c", "what_if", {"values": {"a": float("nan"), "b": float("-inf")}, "hours": float("inf")})
+    line = (tmp_path / "calls.jsonl").read_text()
+    arguments = json.loads(line, parse_constant=pytest.fail)["arguments"]
+    assert arguments == {"values": {"a": "NaN", "b": "-Infinity"}, "hours": "Infinity"}
+
+
 def test_call_log__that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(InvalidConfig, match="--audit-log"):
         CallLog(tmp_path / "missing" / "calls.jsonl")

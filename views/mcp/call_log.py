@@ -58,7 +58,8 @@ class CallLog:
             RequestRejected: the log cannot be written, so the call must not run.
         """
         text = json.dumps(arguments, default=str)
-        shown: Any = arguments if len(text) <= _MAX_ARGUMENTS else text[:_MAX_ARGUMENTS]
+        # JSON has no NaN and no infinities: they are logged as texts.
+        shown = json.loads(text, parse_constant=str) if len(text) <= _MAX_ARGUMENTS else text[:_MAX_ARGUMENTS]
         with self._lock:
             self._calls += 1
             self._write({"call": self._calls, "client": client[:200], "tool": tool[:200], "arguments": shown})
