@@ -197,7 +197,7 @@ class NodePlant:
     def branch(self, snapshot: str) -> NodePlant:
         """Create a branch of the node that continues from a snapshot."""
         name = self.bus.branch(self._node, CreateBranch(controller=self.link.name, snapshot=snapshot))
-        return BranchPlant(name, self.connect_again, self.manifest)
+        return BranchPlant(name, self.connect_again, self.manifest, self.link.manifest.instance)
 
     def connect_again(self) -> Bus:
         """Connect to the node's bus once more, for a branch, which runs in another thread."""
@@ -299,11 +299,12 @@ class BranchPlant(NodePlant):
         node: name of the branch.
         open_bus: connects to its bus.
         manifest: of the plant.
+        instance: of the plant's node.
     """
 
-    def __init__(self, node: str, open_bus: Callable[[], Bus], manifest: Manifest) -> None:
+    def __init__(self, node: str, open_bus: Callable[[], Bus], manifest: Manifest, instance: str) -> None:
         super().__init__(node)
-        self._open, self.manifest = open_bus, manifest
+        self._open, self.manifest, self._instance = open_bus, manifest, instance
         self._sample = self.link.current()
 
     def open_bus(self) -> Bus:
@@ -315,7 +316,7 @@ class BranchPlant(NodePlant):
         bus = self._bus
         if bus is not None:
             with suppress(ZenostatError):
-                bus.stop(self._node)
+                bus.stop(self._node, instance=self._instance)
         super().close()
 
 

@@ -24,7 +24,14 @@ from zenostat.bridge.client.sample import SampleView
 from zenostat.lab.probe_effects import Effect, HoldExperiment, Ranges, Side, effect_of
 from zenostat.topics.arrays import Floats
 from zenostat.topics.calendar import format_duration
-from zenostat.topics.errors import BusError, ErrorCollector, InvalidConfig, SimulatorError, did_you_mean
+from zenostat.topics.errors import (
+    BusError,
+    ErrorCollector,
+    InvalidConfig,
+    RequestRejected,
+    SimulatorError,
+    did_you_mean,
+)
 from zenostat.topics.messages import Actuator, CreateBranch, Manifest
 from zenostat.topics.points import PointIndex, actuator_index, contains, describe_bounds, value_index
 from zenostat.topics.scenario_fields import NODE_ARGUMENTS
@@ -261,8 +268,8 @@ class _BranchRunner:
                 link.set_current(sample.message)
                 yield link
         finally:
-            with suppress(BusError):  # it ended with its node
-                bus.stop(name)
+            with suppress(BusError, RequestRejected):  # it ended with its node
+                bus.stop(name, instance=parent.manifest.instance)
 
 
 class _ProbeEpisode:

@@ -27,7 +27,15 @@ from zenostat.bridge.client.controller_link import ControllerLink, open_link
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics import codec
 from zenostat.topics.arrays import Floats
-from zenostat.topics.errors import BusError, EpisodeChanged, InvalidAction, InvalidConfig, NodeNotFound
+from zenostat.topics.errors import (
+    BusError,
+    EpisodeChanged,
+    InvalidAction,
+    InvalidConfig,
+    NodeLost,
+    NodeNotFound,
+    RequestRejected,
+)
 from zenostat.topics.messages import CommandOp, CreateBranch, EpisodeStart, Sample, SimulatePlan
 
 _REPLY_BYTES = codec.MAX_BYTES // 2
@@ -361,12 +369,20 @@ def branch_request(
 
 
 def open_branch(parent: ControllerLink, request: CreateBranch, priority: int, undo: ExitStack) -> ControllerLink:
-    """Create a branch and return a link to it; `undo` disconnects it and ends the branch."""
+    """Create a branch and return a link to it; `undo` disconnects it and ends the branch.
+
+    Raises:
+        NodeLost: the node was restarted, or another node has the branch's name.
+        RequestRejected, ForkFailed, NodeNotFound: see `Connection.branch` and `open_link`.
+    """
     name = parent.bus.branch(parent.manifest.node, request)
-    undo.callback(_stop, parent.bus, name)
-    return undo.enter_context(open_link(parent.bus, name, name="env", priority=priority))
+    undo.callback(_stop, parent.bus, name, parent.manifest.instance)
+    link = undo.enter_context(open_link(parent.bus, name, name="env", priority=priority))
+    if link.manifest.instance != parent.manifest.instance:
+        raise NodeLost(f"node {name!r} is not the branch: its node was restarted, or another node has this name")
+    return link
 
 
-def _stop(bus: Connection, node: str) -> None:
-    with suppress(BusError, ZError):  # it has ended with its parent, or the bus is closed
-        bus.stop(node)
+def _stop(bus: Connection, node: str, instance: str) -> None:
+    with suppress(BusError, RequestRejected, ZError):  # it has ended with its parent, or the bus is closed
+        bus.stop(node, instance=instance)

@@ -255,9 +255,18 @@ class Connection:
         """
         return self.ask(keys.STATUS, node, Query(memory=memory), Status)
 
-    def stop(self, node: str, *, source: str = "") -> None:
-        """Stop a node."""
-        self.ask(keys.STOP, node, build(Stop, source=source), Ack)
+    def stop(self, node: str, *, source: str = "", instance: str = "") -> None:
+        """Stop a node.
+
+        Args:
+            node: The node's name.
+            source: Name of who stops it, which events and recordings show.
+            instance: Of the node, as in its manifest; a branch has that of its node. Empty: not compared.
+
+        Raises:
+            RequestRejected: The node has another instance.
+        """
+        self.ask(keys.STOP, node, build(Stop, source=source, instance=instance), Ack)
 
     def faults(self, node: str, plan: FaultPlan | Mapping[str, Any] | Path | None, *, source: str = "") -> None:
         """Replace the faults that a node injects; None stops all injection.

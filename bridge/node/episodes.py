@@ -84,7 +84,7 @@ class EpisodeManager:
 
     # Resets
 
-    def _on_receipt(self) -> None:
+    def _on_receipt(self, _: Reset) -> None:
         """Limit the time that a reset waits; in the thread that receives it."""
         self._received += 1
         if not self._is_watching:

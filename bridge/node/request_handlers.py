@@ -90,7 +90,7 @@ class RequestHandlers:
         subscriptions.request(keys.REMOVE_FROM_SERVICE, RemoveFromService, self._operate_alarms)
         subscriptions.request(keys.RETURN_TO_SERVICE, ReturnToService, self._operate_alarms)
         subscriptions.request(keys.PLAN, SimulatePlan, PlanSimulation(server).simulate)
-        subscriptions.request(keys.STOP, Stop, self._stop, on_receipt=server.on_stop)
+        subscriptions.request(keys.STOP, Stop, self._stop, on_receipt=self._on_stop_receipt)
         subscriptions.request(keys.FAULTS, FaultPlan, self._set_faults)
 
     def _claim(self, claim: Claim) -> Message:
@@ -233,7 +233,20 @@ class RequestHandlers:
         server.publish_events(events)
         return Ack(episode=server.exchange.episode, text="\n".join(event.text for event in events))
 
+    def _is_for_another(self, stop: Stop) -> bool:
+        return stop.instance not in ("", self._server.manifest.instance)
+
+    def _on_stop_receipt(self, stop: Stop) -> None:
+        """Interrupt the timestep; in the thread that receives the request."""
+        if not self._is_for_another(stop):
+            self._server.on_stop()
+
     def _stop(self, stop: Stop) -> Message:
+        manifest = self._server.manifest
+        if self._is_for_another(stop):
+            raise RequestRejected(
+                f"this node {manifest.node!r} has the instance {manifest.instance}, not {stop.instance}"
+            )
         self._server.stopped_by = stop.source
         self._server.subscriptions.post(self._server.stop_serving)
         return Ack(episode=self._server.exchange.episode)

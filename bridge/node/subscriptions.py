@@ -342,15 +342,15 @@ class Subscriptions:
         reason = _mismatch(sender, named)
         return reason if reason or self.access is None else self.access.denial(topic, sender)
 
-    def _is_accepted(self, topic: keys.Topic, kind: type[Any], request: Request) -> bool:
-        """Return whether a request is valid and its sender may send it; for any thread."""
+    def _accepted(self, topic: keys.Topic, kind: type[M], request: Request) -> M | None:
+        """Return the message of a request that is valid and that its sender may send, else None; for any thread."""
         try:
             message = codec.decode_request(kind, request.payload, request.encoding)
         except BadMessage:
-            return False
+            return None
         field = keys.sender_field(kind)
         named = getattr(message, field) if field else ""
-        return not topic.has_sender or not self._denial(topic, request.sender, named)
+        return message if not topic.has_sender or not self._denial(topic, request.sender, named) else None
 
     # Subscribers and queryables besides commands
 
@@ -468,7 +468,7 @@ class Subscriptions:
         kind: type[Any],
         handler: Callable[[Any], Message],
         *,
-        on_receipt: Callable[[], None] | None = None,
+        on_receipt: Callable[[Any], None] | None = None,
     ) -> None:
         """Answer requests in the server's thread.
 
@@ -476,7 +476,7 @@ class Subscriptions:
             topic: of the requests.
             kind: class of the request.
             handler: returns the reply.
-            on_receipt: called first for each valid request, in the thread that receives it.
+            on_receipt: called first with each valid request, in the thread that receives it.
         """
 
         def on_request(request: Request) -> None:
@@ -487,8 +487,8 @@ class Subscriptions:
             )
 
         def receipt(request: Request) -> None:
-            if on_receipt is not None and self._is_accepted(topic, kind, request):
-                on_receipt()
+            if on_receipt is not None and (message := self._accepted(topic, kind, request)) is not None:
+                on_receipt(message)
 
         self.request_undecoded(topic, on_request, on_receipt=receipt)
 

@@ -7,14 +7,15 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from support.nodes import until
+from support.nodes import node_on_bus, until
 
 from zenostat.bridge.node import names
 from zenostat.bridge.node.names import NameWatch
 from zenostat.bridge.runtime.timer import Timer
 from zenostat.bridge.transport.session import Mode, open_session
 from zenostat.topics import keys
-from zenostat.topics.errors import NameInUse
+from zenostat.topics.errors import NameInUse, RequestRejected
+from zenostat.topics.messages import CreateBranch
 
 pytestmark = pytest.mark.process
 
@@ -29,8 +30,8 @@ LOWEST, HIGHEST = "0", "g"
 """Instances below and above each session id, which is hexadecimal and has no zeros at its beginning."""
 
 
-def declare(session: zenoh.Session, instance: str) -> zenoh.LivelinessToken:
-    return session.liveliness().declare_token(keys.NODE_TOKEN.at("room", name=instance))
+def declare(session: zenoh.Session, instance: str, name: str = "room") -> zenoh.LivelinessToken:
+    return session.liveliness().declare_token(keys.NODE_TOKEN.at(name, name=instance))
 
 
 def test_name_watch__of_nodes_that_start_at_once_the_lowest_remains(
@@ -126,3 +127,17 @@ def test_node__another_with_a_lower_id(folder: Path, settle_s: str, is_ended: bo
                 assert text.startswith(f"warning: another node named 'room' (instance {LOWEST}) is on this bus")
                 process.terminate()
                 assert process.wait() == 0
+
+
+def test_stop__of_another_instance_is_rejected(folder: Path) -> None:
+    settings = {"plant": "zenostat.agent_sdk.testing.fake_plant:FakePlant", "name": "room"}
+    with node_on_bus(folder, **settings) as (_, bus), bus.controller("room") as link:
+        link.reset()
+        branch = bus.branch("room", CreateBranch(controller=link.name))
+        for name in ("room", branch):
+            with pytest.raises(RequestRejected, match=f"this node '{name}' has the instance"):
+                bus.stop(name, instance="another")
+        link.send()
+        assert link.receive().step == 1
+        bus.stop(branch, instance=link.manifest.instance)
+        until(lambda: bus.nodes() == ["room"], "the branch has ended")

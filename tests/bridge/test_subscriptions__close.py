@@ -32,7 +32,7 @@ def test_close__answers_requests_that_were_not_handled(
     with open_session(listen=[endpoint]) as node, open_session(connect=[endpoint]) as client:
         received = threading.Event()
         with Subscriptions(node, "office") as subscriptions:
-            subscriptions.request(topic, type(request_sent), handle, on_receipt=received.set)
+            subscriptions.request(topic, type(request_sent), handle, on_receipt=lambda _: received.set())
             until(lambda: _has_queryable(client, topic), "the client knows of the queryable")
 
             def ask() -> None:

@@ -159,9 +159,14 @@ class StepRequest(Message):
 
 
 class Stop(Message):
-    """Stop the node."""
+    """Stop the node.
+
+    `instance`: that of the node's manifest. A branch has that of its node. A node of the name with another instance
+    rejects the request; empty: every node of the name accepts it.
+    """
 
     source: SourceName = ""
+    instance: str = ""
 
 
 class Revoke(Message):

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
+from functools import partial
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -169,7 +170,7 @@ def simulate_futures(
             on_branch(branch)
             if bus.manifest(branch).branch_of != manifest.node:
                 raise BadMessage(f"{branch} is no branch of {manifest.node}")  # it may be another building
-            stack.callback(_end, bus.stop, branch)
+            stack.callback(_end, partial(bus.stop, branch, instance=manifest.instance))
             if future.controller is not None:
                 _relinquish_controllers(bus, manifest.node, branch, operator)
             for point, value in future.values.items():
