@@ -23,6 +23,7 @@ from zenostat.bridge.exchange.actuator_commands import CommandSnapshot
 from zenostat.bridge.exchange.step_exchange import StepExchange
 from zenostat.bridge.node.fault_injection import NO_FAULTS, FaultState
 from zenostat.bridge.node.manifest import site_fields
+from zenostat.bridge.node.names import BranchNames
 from zenostat.bridge.node.planning import require_episodes
 from zenostat.bridge.node.plant import ForecastPlant, RunningPlant
 from zenostat.bridge.node.server import NodeServer
@@ -31,6 +32,7 @@ from zenostat.topics.errors import ForkFailed, RequestRejected, did_you_mean
 from zenostat.topics.messages import (
     CreateBranch,
     DropSnapshot,
+    EventKind,
     ForkStatus,
     Manifest,
     Message,
@@ -176,6 +178,25 @@ class BranchManager:
         self._numbers = itertools.count(1)
         self.snapshots: dict[str, Snapshot] = {}
         self.branches: dict[str, Branch] = {}
+        self._taken: BranchNames | None = None
+
+    def declare(self) -> None:
+        """Follow the names of other nodes, which branches do not take."""
+        server = self._server
+        self._taken = BranchNames(
+            server.session,
+            server.manifest.node,
+            lambda name: server.subscriptions.post(lambda: self._on_taken(name)),
+        )
+
+    def _on_taken(self, name: str) -> None:
+        """End a branch, as another node has its name: both would answer requests."""
+        branch = self.branches.get(name)
+        if branch is None or branch.server.stopping:
+            return
+        text = f"branch {name} ends, because another node of this name is on the bus now"
+        self._server.event(self._server.exchange.event(EventKind.WARNING, text))
+        branch.stop()
 
     def snapshot(self, request: TakeSnapshot) -> Snapshot:
         """Take a snapshot, which the controller of the request owns.
@@ -219,7 +240,7 @@ class BranchManager:
         name, folder = self._allocate("b", request.slots, from_snapshot=snapshot is not None)
         with ExitStack() as undo:
             undo.callback(shutil.rmtree, folder, ignore_errors=True)
-            full_name = keys.check_name(f"{parent.manifest.node}.{name}", "a branch's name")
+            full_name = keys.check_name(self._full_name(name), "a branch's name")
             origin = snapshot.plant if snapshot is not None else parent.plant
             with self._registry.copying():
                 plant = _fork(origin, request, folder)
@@ -328,8 +349,12 @@ class BranchManager:
                 f"the node has {count} snapshots and branches, counted by slots, and allows {limit} (branches={limit})"
                 f"{more}; close some, or start the node with a higher limit"
             )
-        name = f"{prefix}{next(self._numbers)}"
+        names = (f"{prefix}{number}" for number in self._numbers)
+        name = next(name for name in names if self._taken is None or self._full_name(name) not in self._taken)
         return name, self._folder / name
+
+    def _full_name(self, name: str) -> str:
+        return f"{self._server.manifest.node}.{name}"
 
     def _on_end(self, name: str) -> None:
         def remove() -> None:
@@ -368,6 +393,9 @@ class BranchManager:
 
     def close(self) -> None:
         """End all snapshots and branches; idempotent."""
+        if self._taken is not None:
+            self._taken.close()
+            self._taken = None
         for branch in self.branches.values():
             branch.stop()
         for branch in self.branches.values():

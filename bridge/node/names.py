@@ -23,6 +23,40 @@ def check_name_is_free(session: zenoh.Session, name: str) -> None:
             raise _name_in_use(name, instance)
 
 
+class BranchNames:
+    """Names of branches of a node that other nodes on the bus have.
+
+    Args:
+        session: that of the node and its branches.
+        node: name of the node.
+        on_taken: called with each such name when another node has it, in a thread of the session.
+    """
+
+    def __init__(self, session: zenoh.Session, node: str, on_taken: Callable[[str], None]) -> None:
+        self._own, self._on_taken = str(session.zid()), on_taken
+        self._others = set[tuple[str, str]]()
+        tokens, callback = keys.NODE_TOKEN.at(f"{node}.b$*", name="*"), Callback(self._on_token, indirect=False)
+        self._subscriber = session.liveliness().declare_subscriber(tokens, callback, history=True)
+
+    def close(self) -> None:
+        """Follow them no longer."""
+        self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+
+    def __contains__(self, name: object) -> bool:
+        return any(other == name for other, _ in self._others.copy())
+
+    def _on_token(self, token: zenoh.Sample) -> None:
+        key = str(token.key_expr)
+        name, instance = keys.node_of(key), keys.last_chunk(key)
+        if instance == self._own:
+            return
+        if token.kind == zenoh.SampleKind.DELETE:
+            self._others.discard((name, instance))
+            return
+        self._others.add((name, instance))
+        self._on_taken(name)
+
+
 class NameWatch:
     """Follows the other nodes of a node's name.
 

@@ -371,6 +371,7 @@ class Node:
         server.subscriptions.watch_presence(self._on_disconnect, server.on_reconnect)
         self._episodes.declare()
         self._recordings.declare()
+        self.branches.declare()
         server.subscriptions.request(keys.REVOKE, Revoke, self._revoke)
         self._close.callback(signal.signal, signal.SIGCHLD, signal.getsignal(signal.SIGCHLD))
         signal.signal(signal.SIGCHLD, self._on_child)

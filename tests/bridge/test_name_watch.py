@@ -13,9 +13,9 @@ from zenostat.bridge.node import names
 from zenostat.bridge.node.names import NameWatch
 from zenostat.bridge.runtime.timer import Timer
 from zenostat.bridge.transport.session import Mode, open_session
-from zenostat.topics import keys
+from zenostat.topics import codec, keys
 from zenostat.topics.errors import NameInUse, RequestRejected
-from zenostat.topics.messages import CreateBranch
+from zenostat.topics.messages import CreateBranch, Event
 
 pytestmark = pytest.mark.process
 
@@ -127,6 +127,33 @@ def test_node__another_with_a_lower_id(folder: Path, settle_s: str, is_ended: bo
                 assert text.startswith(f"warning: another node named 'room' (instance {LOWEST}) is on this bus")
                 process.terminate()
                 assert process.wait() == 0
+
+
+def test_branches__leave_their_names_to_other_nodes(folder: Path) -> None:
+    """A branch takes no name that is in use, and ends when a node takes its name at the same time."""
+    settings = {"plant": "zenostat.agent_sdk.testing.fake_plant:FakePlant", "name": "room"}
+    with node_on_bus(folder, **settings) as (node, bus), open_session(connect=[node.endpoint]) as other:
+        events = list[Event]()
+
+        def add(sample: zenoh.Sample) -> None:
+            events.append(codec.decode(Event, sample.payload.to_bytes()))
+
+        with (
+            bus.controller("room") as link,
+            other.declare_subscriber(keys.EVENT.at("room"), add),
+        ):
+            link.reset()
+            building = declare(other, HIGHEST, "room.b1")
+            tokens = keys.NODE_TOKEN.at("room.b1", name="*")
+            until(lambda: [*bus.session.liveliness().get(tokens)], "the other node is on the bus")
+            branch = bus.branch("room", CreateBranch(controller=link.name))
+            assert branch == "room.b2"
+            at_once = declare(other, HIGHEST, branch)
+            until(lambda: not bus.status("room").branches, "the branch has ended")
+            until(lambda: [e for e in events if e.text.startswith(f"branch {branch} ends")], "its node says why")
+            assert bus.branch("room", CreateBranch(controller=link.name)) == "room.b3"
+            for token in (building, at_once):
+                token.undeclare()
 
 
 def test_stop__of_another_instance_is_rejected(folder: Path) -> None:
