@@ -244,6 +244,8 @@ class ControllerLink:
             raise from_wire({"error": status.failure_error, "message": status.failure})
         if status.state is State.ENDED:
             return self.reset()
+        if self._claimed:
+            self._ended = self._closed  # an error that ended an earlier episode
         if sample is not None and sample.message.episode == status.episode:
             if status.state is State.WAITING and sample.message.step == status.step:
                 return self._keep(sample)

@@ -328,6 +328,26 @@ def test_deadline__begins_again_after_the_node_was_suspended(scratch: Path) -> N
 # Aborted
 
 
+def test_abort__current_continues_in_the_episode_that_another_controller_began(scratch: Path) -> None:
+    with (
+        node_on_bus(scratch / "node", plant=TANK, policy="abort") as (_, bus),
+        bus.controller("office", name="first") as first,
+        bus.controller("office", name="second", priority=12) as second,
+    ):
+        leaving = bus.controller("office", name="leaving", priority=14)
+        first.current()
+        second.current()
+        leaving.close()
+        for link in (first, second):
+            with pytest.raises(EpisodeAborted, match=leaving.name):
+                link.receive()
+        first.reset().send({"pump": 7.0})
+        sample = second.current()
+        assert (sample.episode, sample.step) == (1, 0)
+        sample.send()
+        assert [link.receive().step for link in (first, second)] == [1, 1]
+
+
 @pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("how", ["killed", "unresponsive"])
