@@ -34,10 +34,12 @@ class Table:
         """Return the texts of a column.
 
         Raises:
-            InvalidConfig: there is no such column, or a row has no value.
+            InvalidConfig: there is no such column, or more than one, or a row has no value.
         """
         if column not in self.header:
             raise InvalidConfig(f"{self.path}: no column {column!r}; {did_you_mean(column, self.header)}")
+        if self.header.count(column) > 1:
+            raise InvalidConfig(f"{self.path}: {self.header.count(column)} columns {column!r}; one expected")
         place = self.header.index(column)
         for number, row in self._numbered():
             if len(row) <= place:

@@ -330,7 +330,8 @@ def test_grid__errors_have_the_lines_of_the_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "text"),
     [("a,b\n1\n", "profile.csv:2: no value of 'b'"), ("a,b\n1,x\n", "profile.csv:2: b = 'x'; a finite number"),
-     ("a\n1\n", "no column 'b'"), ("a,b\n", "a header and at least one row"),
+     ("a\n1\n", "no column 'b'"), ("b,a,b\n1,2,3\n", "2 columns 'b'; one expected"),
+     ("a,b\n", "a header and at least one row"),
      ("a,b\n\n", "a header and at least one row"), ("", "a header and at least one row")],
 )  # fmt: skip
 def test_grid__wrong_csv_file_is_named_with_its_line(tmp_path: Path, content: str, text: str) -> None:
