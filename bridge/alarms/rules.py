@@ -55,7 +55,8 @@ def applies_at(rule: AlarmRule, moment: datetime) -> bool:
     """Return whether a rule applies at a simulated time, occupancy aside."""
     if rule.weekdays is not None and WEEKDAYS[moment.weekday()] not in rule.weekdays:
         return False
-    return rule.hours is None or bool(in_hours(rule.hours, moment.hour + moment.minute / 60 + moment.second / 3600))
+    seconds = moment.hour * 3600 + moment.minute * 60 + moment.second + moment.microsecond / 1e6
+    return rule.hours is None or bool(in_hours(rule.hours, seconds / 3600))
 
 
 def read_rules(path: Path) -> AlarmRules:

@@ -1,6 +1,6 @@
 """All alarms of a node: rules applied to points, samples in, events out."""
 
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from zenostat.bridge.alarms.monitor import AlarmMonitor
 from zenostat.bridge.alarms.rules import applies_at, point_alarms, read_rules
 from zenostat.bridge.alarms.state_machine import Alarm
 from zenostat.bridge.node.plant import PlantDescription, RunPeriod
-from zenostat.topics.alarm_rules import AlarmRules
+from zenostat.topics.alarm_rules import AlarmRule, AlarmRules
 from zenostat.topics.energyplus_names import OCCUPANTS
 from zenostat.topics.errors import InvalidConfig, RequestRejected, UnknownName
 from zenostat.topics.messages import (
@@ -373,6 +373,16 @@ SAMPLES = st.lists(
     min_size=1,
     max_size=50,
 )
+
+
+def test_applies_at__hours_include_their_start_and_not_their_end() -> None:
+    """Each multiple of 0.005 h is a whole second: 0.675 is 0:40:30, which the sum of its parts is not exactly."""
+    for thousandths in range(0, 23_000, 5):
+        start = datetime(2017, 7, 3) + timedelta(seconds=thousandths * 3.6)
+        hours = [thousandths / 1000, (thousandths + 500) / 1000]
+        rule = AlarmRule.model_validate({"name": "r", "points": ["x"], "high": 1.0, "hours": hours})
+        assert applies_at(rule, start)
+        assert not applies_at(rule, start + timedelta(minutes=30))
 
 
 @settings(max_examples=examples(50))
