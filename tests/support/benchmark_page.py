@@ -245,24 +245,28 @@ def curve_of(record: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _fill_curves(figure: Any, panels: Sequence[tuple[str, ...]], records: Mapping[tuple[str, ...], Any]) -> None:
+    from matplotlib.lines import Line2D  # of an extra
+
     columns = min(len(panels), _PANELS)
     axes = figure.subplots(math.ceil(len(panels) / columns), columns, squeeze=False).ravel()
     algorithms = sorted({key[0] for key, record in records.items() if record.get("curve")})
     for axis, panel in zip(axes, panels, strict=False):
         for number, algorithm in enumerate(algorithms, 1):
             curves = [curve_of(of) for key, of in records.items() if key[:3] == (algorithm, *panel) and of.get("curve")]
-            for index, curve in enumerate(curves):
-                label = algorithm if index == 0 else None
-                color = LIGHT[f"series-{number}"]
-                axis.plot(curve["steps"], curve["rewards"], color=color, linewidth=0.8, label=label)
+            color = LIGHT[f"series-{number}"]
+            for curve in curves:
+                axis.plot(curve["steps"], curve["rewards"], color=color, linewidth=0.8)
                 if curve["steps"][:1] == [0]:  # evaluations, in the same episodes
-                    label = "before the first step" if index == 0 else None
-                    axis.plot([0], [curve["rewards"][0]], "o", color=color, markersize=2.5, label=label)
+                    axis.plot([0], [curve["rewards"][0]], "o", color=color, markersize=2.5)
         axis.set_title(f"{BUILDINGS.get(panel[0], panel[0])}, {panel[1]}")
         axis.xaxis.set_major_formatter(lambda steps, _: f"{steps / 1000:g}k")
     for axis in axes[len(panels) :]:
         axis.set_visible(False)
-    axes[0].legend(fontsize=6)
+    handles = [
+        *(Line2D([], [], color=LIGHT[f"series-{n}"], label=algorithm) for n, algorithm in enumerate(algorithms, 1)),
+        Line2D([], [], color=LIGHT["muted"], linestyle="", marker="o", markersize=2.5, label="before the first step"),
+    ]
+    figure.legend(handles=handles, fontsize=6, loc="outside upper right", ncols=len(handles))
     figure.supxlabel("training steps", fontsize=8.0, color=LIGHT["muted"])
     figure.supylabel("reward of an episode (EUR)", fontsize=8.0, color=LIGHT["muted"])
 
