@@ -342,9 +342,8 @@ def test_district__lost_plant_stops_the_episode_and_a_reset_begins_another(scrat
         assert episode(link) == expected
 
 
-@pytest.mark.slow
-def test_district__plant_on_a_bus_that_is_restarted(scratch: Path) -> None:
-    """A plant that somebody else runs: it is controlled, left alone at the end, and awaited when it is restarted."""
+def boiler_and_house_on_a_bus(scratch: Path) -> Path:
+    """A district that waits for its house, a node on a bus of its own, if that is lost."""
     text = f"""name: pair
 on_lost: wait
 plants:
@@ -354,7 +353,13 @@ connections:
   - {{from: boiler.power, to: house.supply}}
   - {{from: house.demand, to: boiler.demand, delay: 1}}
 """
-    file = district(scratch, text)
+    return district(scratch, text)
+
+
+@pytest.mark.slow
+def test_district__plant_on_a_bus_that_is_restarted(scratch: Path) -> None:
+    """A plant that somebody else runs: it is controlled, left alone at the end, and awaited when it is restarted."""
+    file = boiler_and_house_on_a_bus(scratch)
     home: dict[str, Any] = {"plant": f"{scratch}/plants.py:House", "name": "home"}
     with ExitStack() as stack:
         first = stack.enter_context(NodeProgram(scratch / "home", **home))
@@ -485,16 +490,7 @@ def test_district__plant_on_a_bus_that_misses_another_controller_is_not_lost(scr
 @pytest.mark.slow
 def test_district__says_for_which_controller_of_a_plants_bus_it_waits(scratch: Path) -> None:
     """The plant's node waits for one that has ended, by its policy, and so does the district, which a reset frees."""
-    text = f"""name: pair
-on_lost: wait
-plants:
-  boiler: {{plant: "plants.py:Boiler"}}
-  house: {{node: home, connect: unixsock-stream/{scratch}/home/bus}}
-connections:
-  - {{from: boiler.power, to: house.supply}}
-  - {{from: house.demand, to: boiler.demand, delay: 1}}
-"""
-    file = district(scratch, text)
+    file = boiler_and_house_on_a_bus(scratch)
     with (
         NodeProgram(scratch / "home", plant=f"{scratch}/plants.py:House", name="home") as home,
         zenostat.connect(home.endpoint, affinity="off") as home_bus,
