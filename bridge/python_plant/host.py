@@ -19,7 +19,7 @@ import sys
 import traceback
 from array import array
 from collections.abc import Mapping
-from math import nan
+from math import isnan, nan
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -128,7 +128,7 @@ class PlantHost:
         numbers = []
         for name in self._values:
             value = measured_number(values[name])
-            if value != value:
+            if isnan(value):
                 raise PlantError(
                     f"{self._name}.{method}() returned {values[name]!r} for {name!r} at step {self._step}; "
                     "a finite number expected"
