@@ -67,6 +67,7 @@ class ChunkWriter:
         messages: number of messages written, including those of the present chunk.
         payload_bytes: bytes of the payloads of all messages that are written, without the present chunk.
         offset: bytes written; what is before it is complete.
+        is_regular: whether it is a regular file, and no pipe.
 
     Raises (in all methods that write):
         FileLost: another program has removed, truncated or overwritten the file.
@@ -75,6 +76,7 @@ class ChunkWriter:
 
     def __init__(self, descriptor: int, *, profile: str, library: str, written: Written | None = None) -> None:
         self._descriptor = descriptor
+        self.is_regular = stat.S_ISREG(os.fstat(descriptor).st_mode)
         self._checksum = self.offset = self.messages = self.size = self.payload_bytes = self._chunk_payload_bytes = 0
         self._parts: list[bytes] = []
         self._index: dict[int, list[int]] = {}
@@ -111,9 +113,9 @@ class ChunkWriter:
         Raises:
             FileLost: another program has removed, truncated or overwritten it.
         """
-        status = os.fstat(self._descriptor)
-        if not stat.S_ISREG(status.st_mode):
+        if not self.is_regular:
             return
+        status = os.fstat(self._descriptor)
         if not status.st_nlink:
             raise FileLost(errno.ENOENT, "the file has been removed")
         if status.st_size != self.offset:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import itertools
 import json
 import os
-import stat
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -112,7 +111,6 @@ class Recorder:
         self._messages = self._bytes = 0
         self.reason = ""
         self._closing = self._is_closed = False
-        self._is_regular = stat.S_ISREG(os.fstat(descriptor).st_mode)
         self._looked_s = monotonic()
         self._wake, self._room = threading.Event(), threading.Condition()
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
@@ -297,7 +295,7 @@ class Recorder:
     def _check_file(self, writer: ChunkWriter, *, at_once: bool = False) -> None:
         """Stop if the file has been moved, and raise `FileLost` if it is lost: no write reports that."""
         is_due = at_once or monotonic() - self._looked_s >= _LOOK_S
-        if not self._is_regular or self.reason or not is_due:
+        if not writer.is_regular or self.reason or not is_due:
             return
         self._looked_s = monotonic()
         writer.check_file()
