@@ -13,10 +13,10 @@ from pydantic_core import PydanticCustomError
 from zenostat.topics.errors import did_you_mean
 from zenostat.topics.keys import check_name
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Positive = Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(strict=True, ge=0.0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Share = Annotated[float, Field(strict=True, ge=0.0, le=1.0)]
 Name = Annotated[str, AfterValidator(lambda name: check_name(name, "the name"))]
 
 
@@ -90,7 +90,7 @@ class Line(_Part):
     reactance_ohm_km: Finite
     capacitance_nf_km: NotNegative = 0.0
     ampacity_a: Positive
-    parallel: Annotated[int, Field(ge=1)] = 1
+    parallel: Annotated[int, Field(strict=True, ge=1)] = 1
     open_end: Literal["from", "to"] | None = None
 
 
@@ -104,7 +104,7 @@ class Transformer(_Part):
         short_circuit_percent: short-circuit voltage.
         copper_loss_w: losses at rated current.
         iron_loss_w, no_load_percent: losses and current without load.
-        clock: clock number of the vector group.
+        clock: clock number of the vector group; those of transformers in a loop must agree.
         tap_percent: additional voltage of the primary winding at the present tap position.
     """
 
@@ -113,12 +113,12 @@ class Transformer(_Part):
     power_kva: Positive
     primary_kv: Positive | None = None
     secondary_kv: Positive | None = None
-    short_circuit_percent: Annotated[float, Field(gt=0.0, le=100.0)]
+    short_circuit_percent: Annotated[float, Field(strict=True, gt=0.0, le=100.0)]
     copper_loss_w: NotNegative
     iron_loss_w: NotNegative = 0.0
     no_load_percent: NotNegative = 0.0
-    clock: Annotated[int, Field(ge=0, le=12)] = 5
-    tap_percent: Annotated[float, Field(gt=-50.0, lt=50.0)] = 0.0
+    clock: Annotated[int, Field(strict=True, ge=0, le=12)] = 5
+    tap_percent: Annotated[float, Field(strict=True, gt=-50.0, lt=50.0)] = 0.0
 
 
 class Load(_Part):
@@ -134,7 +134,7 @@ class Load(_Part):
 
     bus: str
     power_w: FiniteSeries = 0.0
-    power_factor: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
+    power_factor: Annotated[float, Field(strict=True, gt=0.0, le=1.0)] = 1.0
     reactive_var: Finite | None = None
     low_w: Finite | None = None
     high_w: Finite | None = None
@@ -166,8 +166,8 @@ class Battery(_Part):
     bus: str
     capacity_kwh: Positive
     power_kw: Positive
-    charge_efficiency: Annotated[float, Field(gt=0.0, le=1.0)] = 0.95
-    discharge_efficiency: Annotated[float, Field(gt=0.0, le=1.0)] = 0.95
+    charge_efficiency: Annotated[float, Field(strict=True, gt=0.0, le=1.0)] = 0.95
+    discharge_efficiency: Annotated[float, Field(strict=True, gt=0.0, le=1.0)] = 0.95
     initial: Share = 0.5
 
 
@@ -300,7 +300,7 @@ class Grid(_Part):
     def _check_references(self) -> Grid:
         errors = [*self._errors_of_names(), *self._errors_of_buses()]
         if not errors:
-            errors = [*self._errors_of_voltages(), *self._errors_of_islands()]
+            errors = [*self._errors_of_voltages(), *self._errors_of_islands()] or [*self._errors_of_clocks()]
         if errors:
             raise PydanticCustomError("grid", "{text}", {"text": "; ".join(errors), "errors": errors})
         return self
@@ -351,6 +351,27 @@ class Grid(_Part):
         branches += [(transformer.start, transformer.end) for transformer in self.transformers.values()]
         if isolated := sorted(self.buses.keys() - connected_buses(self.source.bus, branches)):
             yield f"no line or transformer connects the bus {', '.join(isolated)} with the source"
+
+    def _errors_of_clocks(self) -> Iterator[str]:
+        """Yield an error for each branch between buses whose phases differ by the clock numbers on another path."""
+        closed = [("lines", name, line, 0) for name, line in self.lines.items() if line.open_end is None]
+        pending = [*closed, *(("transformers", name, part, part.clock) for name, part in self.transformers.items())]
+        clocks = {self.source.bus: 0}
+        while pending:
+            left = []
+            for kind, name, part, clock in pending:
+                if part.start in clocks and part.end in clocks:
+                    expected = (clocks[part.end] - clocks[part.start]) % 12
+                    if clock % 12 != expected:
+                        text = "short circuit: with the other clock numbers, its buses are"
+                        yield f"{kind}.{name}: {text} {30 * ((expected - clock) % 12)} degrees apart"
+                elif part.start in clocks:
+                    clocks[part.end] = clocks[part.start] + clock
+                elif part.end in clocks:
+                    clocks[part.start] = clocks[part.end] - clock
+                else:
+                    left.append((kind, name, part, clock))
+            pending = left
 
 
 def connected_buses(source: str, branches: Iterable[tuple[str, str]]) -> set[str]:

@@ -290,6 +290,13 @@ def test_grid__passes_the_check_of_plants(tmp_path: Path) -> None:
             "transformers.station: copper_loss_w is 50000, of which 4 % of short-circuit voltage allow at most 10000",
         ),
         ({"loads": {"house": {"bus": "a", "power_w": {"file": "none.csv", "column": "x"}}}}, "none.csv"),
+        (
+            {"buses": FEEDER["buses"], "source": {"bus": "mv"}, "transformers": {
+                "station": FEEDER["transformers"]["station"] | {"clock": 5},
+                "second": FEEDER["transformers"]["station"] | {"clock": 11}}},
+            "transformers.second: short circuit: with the other clock numbers, its buses are 180 degrees apart",
+        ),
+        ({"loads": {"house": {"bus": "a", "power_w": True}}}, "loads.house.power_w: .* got True"),
         ({"network": "cigre_lv"}, "network: 'cigre_lv'; pandapower:NAME expected"),
         ({"network": "pandapower:cigre_vl"}, "no such network; did you mean 'cigre_mv' or 'cigre_lv'"),
     ],
