@@ -137,6 +137,8 @@ class Bus(Connection):
     ) -> ControllerLink:
         """Connect a controller to a node and claim actuators at a priority.
 
+        It holds them until it is closed, by `close` or as a context manager, or until this connection is closed.
+
         Args:
             node: The node's name.
             name: The controller's name; made unique on the bus.

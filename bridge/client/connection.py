@@ -86,6 +86,7 @@ class Connection:
 
     Attributes (besides those that `Bus` describes):
         affinity: Placement of its threads.
+        links: Its controllers that are not closed.
         placement: Places them like the threads of a local node.
         timeout_s: Time after which a node that is present but does not answer fails a request with `PeerError`.
         via: Protocol of those for whom it sends requests, which recordings show as the way in; empty for itself.
@@ -99,7 +100,7 @@ class Connection:
         self._close, self._closed = ExitStack(), False
         self.affinity = affinity
         self.placement: FollowedPlacement | None = None
-        self._links: set[Link] = set()
+        self.links: set[Link] = set()
         self.timer = self._close.enter_context(Timer())
         self.session = self._close.enter_context(session)
         fork_guard.open_buses.add(self)
@@ -113,26 +114,26 @@ class Connection:
     def close(self) -> None:
         """Close the connection and its controller links; idempotent. Pending requests raise `BusError`."""
         self._closed = True
-        for link in [*self._links]:
+        for link in [*self.links]:
             link.close()
         self._close.close()
         fork_guard.open_buses.discard(self)
 
     def forked(self) -> None:
         """Disown the bus in a forked process: every request raises `BusError`, and closing does nothing."""
-        fork_guard.keep(self.session, self._close, *(link.__dict__.copy() for link in self._links))
+        fork_guard.keep(self.session, self._close, *(link.__dict__.copy() for link in self.links))
         self.session, self._close = cast("zenoh.Session", fork_guard.ForkedSession()), ExitStack()
-        for link in self._links:
+        for link in self.links:
             link.forked(BusError(FORKED), self.session)
-        self._links = set()
+        self.links = set()
 
     def adopt(self, link: Link) -> None:
         """Close a link with this connection."""
-        self._links.add(link)
+        self.links.add(link)
 
     def forget(self, link: Link) -> None:
         """Remove a link that has been closed."""
-        self._links.discard(link)
+        self.links.discard(link)
 
     # Requests
 

@@ -461,6 +461,13 @@ def open_link(
         longest = keys.MAX_NAME - len(suffix)
         raise InvalidConfig(f"the controller {name!r}: use up to {longest} characters, since {suffix!r} is added to it")
     claim = build(Claim, controller=bus.sender(unique), priority=priority, actuators=actuators, required=required)
-    link = ControllerLink(bus, node, claim, bus.affinity)
+    try:
+        link = ControllerLink(bus, node, claim, bus.affinity)
+    except RequestRejected as error:
+        own = [link.name for link in bus.links if isinstance(link, ControllerLink)]
+        if holder := next((name for name in own if repr(name) in str(error)), ""):
+            text = f"{holder!r} is a controller of this connection: use it again, or close it first"
+            raise RequestRejected(f"{error}; {text}") from None
+        raise
     bus.adopt(link)
     return link

@@ -241,6 +241,8 @@ def test_bus__second_claim_of_a_level_names_the_holder(bus: zenostat.Bus, second
             RequestRejected, match=f"priority 10 of .* is claimed by '{holder.name}'; claim another priority"
         ):
             second_bus.controller("office", name="late")
+        with pytest.raises(RequestRejected, match=f"'{holder.name}' is a controller of this connection"):
+            bus.controller("office", name="again")
         until(lambda: bus.controllers() == [("office", holder.name)], "the holder alone is there")
         with second_bus.controller("office", name="late", priority=11) as late:
             both = sorted([("office", holder.name), ("office", late.name)])
