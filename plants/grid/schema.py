@@ -354,7 +354,9 @@ class Grid(_Part):
 
     def _errors_of_clocks(self) -> Iterator[str]:
         """Yield an error for each branch between buses whose phases differ by the clock numbers on another path."""
-        closed = [("lines", name, line, 0) for name, line in self.lines.items() if line.open_end is None]
+        closed: list[tuple[str, str, Line | Transformer, int]] = [
+            ("lines", name, line, 0) for name, line in self.lines.items() if line.open_end is None
+        ]
         pending = [*closed, *(("transformers", name, part, part.clock) for name, part in self.transformers.items())]
         clocks = {self.source.bus: 0}
         while pending:
