@@ -15,6 +15,7 @@ from zenostat.eplus_node.config import NodeConfig, scenario_of
 from zenostat.models import catalog, energyplus
 from zenostat.models.building import conflicts, output_objects, schematic
 from zenostat.models.building import model as building
+from zenostat.models.building.external_files import files_by_role
 from zenostat.models.building.geometry import BuildingGeometry, building_geometry
 from zenostat.models.building.model import Building
 from zenostat.models.building.run_needs import assumptions, lacks_design_days
@@ -203,6 +204,8 @@ def describe(plan: Plan) -> PlantDescription:
 def input_files(config: NodeConfig) -> dict[str, Path]:
     """Return the files that determine the results besides the scenario's text, by role; reads no model or weather.
 
+    Those that the model names are not among them; a plan's provenance has them as well.
+
     Raises:
         UnknownName, InvalidConfig: there is no such scenario, building or weather, or a setting is invalid.
     """
@@ -226,6 +229,7 @@ def _provenance(plan: Plan) -> Provenance:
     """Describe how to create the plant again; see `REPEATED_SETTINGS` for its settings."""
     model = Path(plan.building.file) if plan.building.file else None
     files = _files(model, [source.path for source in plan.sources], plan.scenario)
+    files |= files_by_role(plan.building.objects)
     config = plan.config
     settings: dict[str, object] = {"shrink_caches": config.shrink_caches, "monitoring": config.monitoring}
     if config.systems:

@@ -24,6 +24,7 @@ from zenostat.eplus_node.config import NodeConfig, read_config, scenario_of
 from zenostat.eplus_node.plan import REPEATED_SETTINGS, input_files, plan
 from zenostat.eplus_node.plant import EnergyPlusPlant
 from zenostat.models import catalog
+from zenostat.models.building.external_files import files_by_role, is_external
 from zenostat.models.building.model import Building, read_building, with_edits
 from zenostat.models.scenario.schema import Scenario
 from zenostat.models.semantic.graph import semantic_turtle
@@ -189,8 +190,12 @@ class RecordedPlant:
 
     def _building(self) -> tuple[PlantFactory, list[str]]:
         config = self._building_config()
-        changes = self._changes(input_files(config))
-        return partial(EnergyPlusPlant, plan(config)), changes
+        external = {role for role in self._provenance.files if is_external(role)}
+        files = input_files(config)
+        changes = self._changes(files, roles={*self._provenance.files, *files} - external)
+        planned = plan(config)
+        changes += self._changes(files_by_role(planned.building.objects), roles=external)
+        return partial(EnergyPlusPlant, planned), changes
 
     def _building_config(self) -> NodeConfig:
         """Return the recorded scenario and the settings that a recording may repeat."""

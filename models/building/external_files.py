@@ -19,6 +19,13 @@ FILE_FIELDS = {
 }
 """The fields that name a file, by object type."""
 
+_ROLE = "file of "
+
+
+def is_external(role: str) -> bool:
+    """Return whether a role is one of `files_by_role`."""
+    return role.startswith(_ROLE)
+
 
 def with_absolute_paths(objects: dict[str, ObjectsOfType], folder: Path) -> dict[str, ObjectsOfType]:
     """Return a model whose files are named by absolute paths; it is the same object if it names no relative one.
@@ -41,13 +48,25 @@ def with_absolute_paths(objects: dict[str, ObjectsOfType], folder: Path) -> dict
 
 def versions_of_files(objects: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
     """Yield a text for each file that a model names: its path, size and time of the last change."""
+    for _, _, path in _named_files(objects):
+        try:
+            status = path.stat()
+        except OSError:
+            yield f"{path}: none"
+        else:
+            yield f"{path}: {status.st_size} bytes of {status.st_mtime_ns}"
+
+
+def files_by_role(objects: Mapping[str, Mapping[str, Any]]) -> dict[str, Path]:
+    """Return the files that a model reads, each once, by a text that names the first object which names it."""
+    roles = {path: f"{_ROLE}{kind} {name!r}" for kind, name, path in reversed([*_named_files(objects)])}
+    return {role: path for path, role in reversed(roles.items()) if path.is_absolute() and path.is_file()}
+
+
+def _named_files(objects: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, str, Path]]:
+    """Yield type, name and file of each object that names one."""
     for kind, field in FILE_FIELDS.items():
-        for fields in objects.get(kind, {}).values():
+        for name, fields in objects.get(kind, {}).items():
             path = fields.get(field) if isinstance(fields, Mapping) else None
             if isinstance(path, str) and path:
-                try:
-                    status = Path(path).stat()
-                except OSError:
-                    yield f"{path}: none"
-                else:
-                    yield f"{path}: {status.st_size} bytes of {status.st_mtime_ns}"
+                yield kind, name, Path(path)

@@ -170,6 +170,29 @@ def test_recording__what_is_not_here_is_named_before_anything_is_simulated(event
 
 
 @pytest.mark.slow
+def test_recording__changed_file_of_the_model_is_named(scratch: Path) -> None:
+    """Its last hours are read after the recorded ones; each sample is equal to the bit."""
+    table, path = scratch / "people.csv", scratch / "day.mcap"
+    table.write_text("0.5\n" * 8760)
+    schedule = {"file_name": str(table), "column_number": 1, "rows_to_skip_at_top": 0, "number_of_hours_of_data": 8760}
+    settings = {**SMALL, "edits": {"Schedule:File": {"people": schedule}}, "record": str(path)}
+    with node_on_bus(scratch / "day", **settings) as (_, bus), bus.controller("office") as link:
+        for number, _ in enumerate(link):
+            if number == 5:
+                break
+    assert verify(path).passed
+    table.write_text("0.5\n" * 8700 + "0.7\n" * 60)
+    with pytest.raises(InvalidRecording, match=r"the file of Schedule:File 'people' .*people\.csv has changed"):
+        verify(path)
+    result = verify(path, tolerance=0.01)
+    assert result.passed
+    assert result.notes == [f"the file of Schedule:File 'people' {table} has changed"]
+    done = run("node", "--resume", str(path), columns=500)
+    assert done.returncode != 0, "the node does not go on with another file"
+    assert "the file of Schedule:File 'people'" in done.stderr
+
+
+@pytest.mark.slow
 def test_recording__changed_model_is_a_regression_test(scratch: Path) -> None:
     model, path = scratch / "office.idf", scratch / "day.mcap"
     model.write_bytes(find_building("ref-small-office").path.read_bytes())
