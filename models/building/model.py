@@ -6,7 +6,7 @@ import json
 from calendar import isleap
 from collections.abc import Iterable
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from zenostat.models.building.external_files import with_absolute_paths
 from zenostat.models.building.run_needs import changed_timesteps, simulation_control
 from zenostat.models.building.schedule_fields import DATED, missing_date
 from zenostat.models.building.source_lines import read_source
+from zenostat.models.building.template_references import is_template
 from zenostat.models.catalog import Entry
 from zenostat.models.input_format.encoding import check_encoding, decode_epjson, decode_idf
 from zenostat.models.input_format.idf_reader import idf_version
@@ -264,20 +265,32 @@ def check_runnable(building: Building) -> None:
 def with_edits(building: Building, edits: Edits) -> Building:
     """Return the building with a scenario's edits applied; files that they name are those in the folder of the model.
 
+    Those of templates are applied first, and the templates are expanded again.
+
     Raises:
-        InvalidConfig: lists all errors of the edits.
+        InvalidConfig: lists all errors of the edits; or a template cannot be expanded.
     """
     if not edits:
         return building
-    objects = apply_edits(building.objects, edits)
-    return Building(
-        building.name,
-        with_absolute_paths(objects, Path(building.file).parent) if building.file else objects,
-        digest(building.content, json.dumps(edits, sort_keys=True)),
-        building.notes,
-        building.file,
-        building.unexpanded,
+    of_templates = {kind: items for kind, items in edits.items() if is_template(kind)}
+    if of_templates:
+        building = _with_other_templates(building, of_templates)
+    objects = apply_edits(building.objects, {kind: items for kind, items in edits.items() if kind not in of_templates})
+    return replace(
+        building,
+        objects=with_absolute_paths(objects, Path(building.file).parent) if building.file else objects,
+        content=digest(building.content, json.dumps(edits, sort_keys=True)),
     )
+
+
+def _with_other_templates(building: Building, edits: Edits) -> Building:
+    """Return the building with edited templates, expanded anew."""
+    path, unexpanded = Path(building.file or building.name), building.unexpanded
+    former = _expand(unexpanded, path)[1] if unexpanded else ()
+    edited = apply_edits(unexpanded or building.objects, edits)
+    objects, notes = _expand(edited, path)
+    kept = tuple(note for note in building.notes if note not in former)
+    return replace(building, objects=objects, notes=(*kept, *notes), unexpanded=edited if notes else {})
 
 
 def for_episode(

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from zenostat.models import energyplus
-from zenostat.models.building.edits import apply_edits
-from zenostat.models.building.model import Building, check_runnable, for_episode, read_building, write
+from zenostat.models.building.model import Building, check_runnable, for_episode, read_building, with_edits, write
 from zenostat.models.building.run_needs import lacks_design_days
 from zenostat.models.building.source_lines import locator
 from zenostat.models.calibration.model_edits import ModelParameter, edits_of
@@ -29,7 +28,6 @@ from zenostat.models.weather.header import check_complete, check_covers, read_he
 from zenostat.models.weather.records import check_records
 from zenostat.topics.arrays import Floats
 from zenostat.topics.atomic_file import atomic_file
-from zenostat.topics.cache import digest
 from zenostat.topics.errors import InvalidConfig, ModelError
 
 _CLOCK = "2"
@@ -74,14 +72,9 @@ class ModelRuns:
             if parameter.name in values:
                 edits = edits_of(building.objects, parameter, float(values[parameter.name]))
                 try:
-                    objects = apply_edits(building.objects, edits)
+                    building = with_edits(building, edits)
                 except InvalidConfig as error:
                     raise InvalidConfig(f"parameters.{parameter.name} = {values[parameter.name]:g}: {error}") from None
-                text = json.dumps(edits, sort_keys=True)
-                building = Building(
-                    building.name, objects, digest(building.content, text), building.notes, building.file,
-                    building.unexpanded,
-                )  # fmt: skip
         return building
 
     def check(self, periods: Sequence[Days], ends: Mapping[str, Sequence[float]]) -> None:

@@ -17,7 +17,7 @@ from support.variable_runs import run
 from zenostat.models import energyplus
 from zenostat.models.building import templates
 from zenostat.models.building.diagnostics import Severity, cached_diagnostics
-from zenostat.models.building.model import Building, check_runnable, read_building
+from zenostat.models.building.model import Building, check_runnable, read_building, with_edits
 from zenostat.models.building.template_references import templates_of
 from zenostat.models.catalog import find_building
 from zenostat.models.input_format.idf_writer import write_idf
@@ -185,6 +185,41 @@ def test_templates__note_tells_how_many_objects_were_made(tmp_path: Path) -> Non
     building = office_with(SYSTEMS["ideal loads"], tmp_path / "office.idf")
     added = sum(map(len, building.objects.values())) - sum(map(len, envelope().values()))
     assert building.notes == (f"6 HVACTemplate objects expanded to {added} objects by ExpandObjects",)
+
+
+def test_templates__edits_of_templates_give_the_model_with_these_templates(tmp_path: Path) -> None:
+    """Other edits are those of the expanded objects."""
+    system, (kind, items) = SYSTEMS["ideal loads"], next(iter(SYSTEMS["ideal loads"].items()))
+    plain = office_with(system, tmp_path / "office.epJSON")
+    warm: Objects = {
+        "HVACTemplate:Thermostat": {"warm": {"constant_heating_setpoint": 23.0, "constant_cooling_setpoint": 26.0}}
+    }
+    name = f"IdealLoadsAirSystem {ZONES[0]}"
+    changed = {kind: items | {name: items[name] | {"template_thermostat_name": "warm"}}}
+    thermostats = {"HVACTemplate:Thermostat": THERMOSTAT["HVACTemplate:Thermostat"] | warm["HVACTemplate:Thermostat"]}
+    by_hand = office_with(thermostats | changed, tmp_path / "other.epJSON")
+    edits = {kind.upper(): {name.upper(): {"template_thermostat_name": "warm"}}} | warm
+    edited = with_edits(plain, edits)
+    assert edited.objects == by_hand.objects
+    assert (edited.notes, edited.unexpanded) == (by_hand.notes, by_hand.unexpanded)
+    ideal, supply = f"{ZONES[0]} Ideal Loads Air System", {"maximum_heating_supply_air_temperature": 30.0}
+    both = with_edits(plain, edits | {"ZoneHVAC:IdealLoadsAirSystem": {ideal: supply}})
+    assert both.find("ZoneHVAC:IdealLoadsAirSystem", ideal).items() >= supply.items()
+
+
+def test_templates__edits_add_and_remove_templates(tmp_path: Path) -> None:
+    system, kind = SYSTEMS["ideal loads"], "HVACTemplate:Zone:IdealLoadsAirSystem"
+    plain = office_with(system, tmp_path / "office.epJSON")
+    path = tmp_path / "empty.epJSON"
+    path.write_text(json.dumps(envelope()))
+    empty = read_building(find_building(str(path)))
+    assert with_edits(empty, THERMOSTAT | system).objects == plain.objects
+    removed = with_edits(plain, {kind: {"*": None}, "HVACTemplate:Thermostat": {"*": None}})
+    assert (removed.objects, removed.notes) == (empty.objects, ())
+    with pytest.raises(InvalidConfig, match=f"{kind} 'all': the model has no such object"):
+        with_edits(plain, {kind: {"all": None}})
+    with pytest.raises(InvalidConfig, match=f"{kind} .*: template_thermostat_name"):
+        check_runnable(with_edits(plain, {"HVACTemplate:Thermostat": {"all": None}}))
 
 
 def test_templates__names_keep_their_characters() -> None:
