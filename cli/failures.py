@@ -40,7 +40,17 @@ def print_failure(error: Exception) -> int:
 
 def _describe_disk_error(error: BaseException) -> str | None:
     """Return a sentence about a file that cannot be written or read; None if the error has another cause."""
+    if isinstance(error, FileNotFoundError) and _is_working_directory_gone():
+        return "the working directory has been removed; change to another one"
     if not isinstance(error, OSError) or error.errno not in _DISK_ERRORS:
         return None
     where = f"{error.filename}: " if error.filename is not None else ""
     return f"{where}{os.strerror(error.errno)}"
+
+
+def _is_working_directory_gone() -> bool:
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        return True
+    return False

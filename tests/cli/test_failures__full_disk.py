@@ -28,3 +28,16 @@ def test_failures__file_that_cannot_be_written_is_one_sentence(
 def test_failures__other_errors_are_raised_again(error: Exception) -> None:
     with pytest.raises(type(error)):
         print_failure(error)
+
+
+def test_failures__removed_working_directory_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    folder.rmdir()
+    with pytest.raises(FileNotFoundError) as raised:
+        Path("a.rrd").absolute()
+    assert print_failure(raised.value) == 1
+    assert plain(capfd.readouterr().err) == "error: the working directory has been removed; change to another one"
