@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from datetime import datetime
+from itertools import groupby
+from typing import NamedTuple
 
 import numpy as np
 import rerun as rr
@@ -33,6 +36,14 @@ HistoryReader = Callable[[Manifest, int, int], tuple[int, Floats] | None]
 
 StatusReader = Callable[[Manifest], NodeStatus]
 """Return the alarms and faults of a node at its latest sample."""
+
+
+class _LoggedEvent(NamedTuple):
+    episode: int
+    step: int
+    moment: datetime
+    text: str
+    level: str
 
 
 class NodeStream:
@@ -73,6 +84,7 @@ class NodeStream:
         self.model = self._model(manifest)
         self.view: EpisodeView | None = None
         self.samples: list[Sample] = []
+        self._events: list[_LoggedEvent] = []
         self.logged_s = time.monotonic()
         self.missed = 0
         self.is_connected = True
@@ -181,8 +193,9 @@ class NodeStream:
         return numbers
 
     def flush(self) -> None:
-        """Log the gathered samples."""
+        """Log the gathered samples and events."""
         self.logged_s = time.monotonic()
+        self._log_events()
         samples, self.samples = self.samples, []
         statuses, self._statuses = self._statuses, []
         if samples and self.view is not None:
@@ -190,6 +203,17 @@ class NodeStream:
             self.view.add(samples, statuses)
             self._is_layout_changed |= (self.view.reward is not None) != had_reward
             self._is_drawn = False
+
+    def _log_events(self) -> None:
+        manifest = self.model.manifest
+        events, self._events = self._events, []
+        for episode, group in groupby(events, key=lambda event: event.episode):
+            logged = [*group]
+            log = EpisodeLog(self._recording, episode_path(manifest.node, episode, self._run), manifest.begin)
+            times = np.array([event.moment for event in logged], "M8[ns]")
+            steps = np.array([event.step for event in logged])
+            texts, levels = [event.text for event in logged], [event.level for event in logged]
+            log.columns_at(EVENTS, times, steps, rr.TextLog.columns(text=texts, level=levels))
 
     def draw(self) -> None:
         """Log what is drawn as a whole, if there are new samples."""
@@ -203,7 +227,7 @@ class NodeStream:
         return is_changed
 
     def add_event(self, event: Event) -> None:
-        """Log an event in its episode, at its step and simulated time; `BadMessage` if there is no such time."""
+        """Gather an event for its episode, step and simulated time; `BadMessage` if there is no such time."""
         manifest = self.model.manifest
         moment = manifest.time_at(event.step)
         if event.kind == EventKind.STARTED:
@@ -218,9 +242,7 @@ class NodeStream:
         level = "WARN" if is_alarm or event.kind in _WARNINGS else "INFO"
         text = f"{event.kind.replace('_', ' ')}: {event.text}" + (f" ({event.source})" if event.source else "")
         text = f"{moment.day} {moment:%b %H:%M}  {text}"
-        log = EpisodeLog(self._recording, episode_path(manifest.node, event.episode, self._run), manifest.begin)
-        times = np.array([moment], "M8[ns]")
-        log.columns_at(EVENTS, times, np.array([event.step]), rr.TextLog.columns(text=[text], level=[level]))
+        self._events.append(_LoggedEvent(event.episode, event.step, moment, text, level))
 
     def _on_alarm(self, change: AlarmChange, step: int) -> None:
         if change.state in PRESENT:
