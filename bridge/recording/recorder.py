@@ -13,6 +13,7 @@ import os
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from time import monotonic, time_ns
 from typing import TYPE_CHECKING
@@ -331,8 +332,7 @@ class Recorder:
     def _add_channels(self, writer: ChunkWriter) -> None:
         while self._new_channels:
             number, topic, kind = self._new_channels.popleft()
-            schema = json.dumps(kind.model_json_schema()).encode()
-            writer.add_channel(number, f"{self._root}/{topic}", kind.__name__, schema)
+            writer.add_channel(number, f"{self._root}/{topic}", kind.__name__, _json_schema(kind))
             self._chain.add_channel(number, topic, kind.__name__)
 
     def _update(self, writer: ChunkWriter) -> None:
@@ -359,6 +359,11 @@ def _is_same(path: Path, descriptor: int) -> bool:
         return os.path.samestat(path.stat(), os.fstat(descriptor))
     except OSError:
         return False
+
+
+@cache
+def _json_schema(kind: type[Message]) -> bytes:
+    return json.dumps(kind.model_json_schema()).encode()
 
 
 def _media_type(name: str) -> str:
