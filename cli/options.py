@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from zenostat.bridge.transport.access_control import RESETTING
 from zenostat.bridge.transport.session import (
     DEFAULT_ENDPOINT,
     OpenSession,
-    certificate_file,
     default_endpoint,
     names_certificate,
     open_session,
@@ -88,7 +88,8 @@ class BusOptions:
 
         Args:
             role: Role that the certificate must have; all may read, so a named certificate may have any for `MONITOR`.
-            resets: Whether the command also resets the node; the certificate is then by default an environment's.
+            resets: Whether the command also resets the node: the certificate must be that of a controller and operator,
+                and is by default an environment's.
 
         Raises:
             NodeNotFound: No process listens at the endpoint.
@@ -96,8 +97,8 @@ class BusOptions:
         """
         from zenostat import connect
 
-        keys = certificate_file(self.keys) if resets and self.certificate is None else self.keys
-        return connect(self.endpoint, keys=keys, role=self._required(role), certificate=self.certificate)
+        required = RESETTING if resets else self._required(role)
+        return connect(self.endpoint, keys=self.keys, role=required, certificate=self.certificate)
 
     def open_session(self, role: Role = Role.CONTROLLER, *, wait: bool = False) -> OpenSession:
         """Open a Zenoh session instead, for programs without requests; arguments and errors as of `open_bus`."""

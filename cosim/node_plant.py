@@ -16,7 +16,7 @@ from zenostat.bridge.client.local_node import LocalNode
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.client.trials import PendingTrial, trial_message
 from zenostat.bridge.runtime.affinity import Affinity
-from zenostat.bridge.transport.session import certificate_file
+from zenostat.bridge.transport.access_control import RESETTING
 from zenostat.cosim.coupled import Rows
 from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import BusError, EpisodeChanged, NodeLost, RequestRejected, ZenostatError
@@ -341,7 +341,7 @@ class FoundPlant(NodePlant):
 
     def open_bus(self) -> Bus:
         """Connect to the bus."""
-        return connect(self._endpoint, affinity=Affinity.OFF, keys=certificate_file(self._keys))
+        return connect(self._endpoint, affinity=Affinity.OFF, keys=self._keys, role=RESETTING)
 
     def is_reachable(self) -> bool:
         """Return whether the node answers; it is looked for in another thread, which may take seconds."""

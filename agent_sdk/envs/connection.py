@@ -28,7 +28,8 @@ from zenostat.bridge.client.thread_guard import one_thread
 from zenostat.bridge.recording.file import next_recording
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.runtime.processes import Monitor
-from zenostat.bridge.transport.session import certificate_file, keys_folder
+from zenostat.bridge.transport.access_control import RESETTING
+from zenostat.bridge.transport.session import keys_folder
 from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import BusError, EpisodeChanged, InvalidConfig, RequestRejected, UsageError
 from zenostat.topics.messages import Ack, Claim, Manifest, RecordingState, RecordingStatus, WeatherSeries
@@ -311,7 +312,8 @@ class NodeConnection:
                 affinity=target.placement,
                 core=target.core,
                 local_node=target.local_node,
-                keys=certificate_file(self._keys),
+                keys=self._keys,
+                role=RESETTING,
             )
             finalizer = weakref.finalize(
                 self, _close_bus, bus, self.local_node

@@ -14,7 +14,8 @@ from zenostat.agent_sdk.envs import spaces
 from zenostat.agent_sdk.envs.action_values import Actions
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.bus import connect as connect_bus
-from zenostat.bridge.transport.session import certificate_file, check_endpoint
+from zenostat.bridge.transport.access_control import RESETTING
+from zenostat.bridge.transport.session import check_endpoint
 from zenostat.topics.errors import (
     BusError,
     ErrorCollector,
@@ -208,7 +209,7 @@ def connect_all(
     """
     endpoints = list(dict.fromkeys(address.endpoint for address in addresses))
     buses = dict(
-        zip(endpoints, attempt_all(lambda at: connect_bus(at, keys=certificate_file(keys)), endpoints), strict=True)
+        zip(endpoints, attempt_all(lambda at: connect_bus(at, keys=keys, role=RESETTING), endpoints), strict=True)
     )
     for bus in buses.values():
         if isinstance(bus, Bus):

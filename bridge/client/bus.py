@@ -8,7 +8,7 @@ with zenostat.connect("tcp/127.0.0.1:7447") as bus:
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from datetime import datetime
 from enum import StrEnum
@@ -58,7 +58,7 @@ def connect(
     core: int | None = None,
     local_node: int | None = None,
     keys: Path | str | None = None,
-    role: Role | str | None = None,
+    role: Role | str | Collection[Role | str] | None = None,
     certificate: str | None = None,
 ) -> Bus:
     """Connect to the bus at `endpoint`; use the result in a `with` statement.
@@ -70,8 +70,9 @@ def connect(
         core: The node's core, if it is already known.
         local_node: Process id of the node on that core; the bus threads leave the core while the node does.
         keys: A folder created by `zenostat keys init`, or a certificate in it (`FOLDER/NAME.pem`).
-        role: A role that the certificate must have: `controller`, the default, or `operator`, `monitor`, `gateway`.
-        certificate: Name of the certificate; by default that of the role.
+        role: The role that the certificate must have: `controller`, the default, or `operator`, `monitor`, `gateway`;
+            several for a program that needs the rights of all, such as a controller and operator that also resets.
+        certificate: Name of the certificate; by default that of the role, of several roles `trainer`.
 
     Raises:
         NodeNotFound: No process listens at the endpoint, or the TLS session failed.
@@ -79,14 +80,15 @@ def connect(
         UnknownName: There is no such role or affinity.
     """
     placement = _member(Affinity, affinity, "affinity")
-    required = None if role is None else _member(Role, role, "role", _CLIENT_ROLES)
+    named = [role] if isinstance(role, str) else role or ()
+    required = [_member(Role, each, "role", _CLIENT_ROLES) for each in named]
     folder = None if keys is None else Path(keys)
     if core is None or placement is not Affinity.SEPARATE_CORES:
         local_node = None
     before = set() if local_node is None else own_threads()
     with _thread_placement(placement, core):
-        if required is None and not names_certificate(folder, certificate):
-            required = Role.CONTROLLER
+        if not required and not names_certificate(folder, certificate):
+            required = [Role.CONTROLLER]
         session = open_session(connect=[endpoint], wait=wait, keys=folder, role=required, certificate=certificate)
     if session.warning:
         warnings.warn(session.warning, stacklevel=2)

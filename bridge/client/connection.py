@@ -161,8 +161,8 @@ class Connection:
         """Send a request to a node; see `ask`."""
         if self.roles and not any(Permission.ASK in may(role, topic) for role in self.roles):
             raise InvalidConfig(
-                f"{' and '.join(self.roles)} {self.identity!r} may not query {topic.key}; connect with the certificate "
-                f"of another role: {' or '.join(topic.senders)}"
+                f"{' and '.join(self.roles)} {self.identity!r} may not query {topic.key}; connect with a certificate "
+                f"that also has the role {' or '.join(topic.senders)}"
             )
         sender = ""
         if topic.has_sender and request is not None:

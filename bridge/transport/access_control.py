@@ -58,7 +58,10 @@ ALL_MESSAGES = (
 """All kinds of messages that Zenoh's access control distinguishes."""
 
 TRAINER = "trainer"
-"""Name of the certificate with which environments connect: that of a controller that also resets, as an operator."""
+"""Name of the certificate with which environments connect."""
+
+RESETTING = (Role.CONTROLLER, Role.OPERATOR)
+"""Roles of a controller that also resets, as an operator: environments and districts."""
 
 _RULES: dict[Permission, tuple[tuple[Direction, tuple[str, ...]], ...]] = {
     Permission.SEND: ((Direction.IN, ("put",)), (Direction.OUT, ("declare_subscriber",))),
@@ -89,10 +92,13 @@ def may(role: Role, topic: Topic) -> tuple[Permission, ...]:
 
 
 def _sends(role: Role, topic: Topic) -> bool:
-    """Return whether a role sends on a topic; a gateway sends what a controller or an operator may."""
-    return role in topic.senders or (
-        role is Role.GATEWAY and not {Role.CONTROLLER, Role.OPERATOR}.isdisjoint(topic.senders)
-    )
+    """Return whether a role sends on a topic."""
+    return any(includes(role, sender) for sender in topic.senders)
+
+
+def includes(role: Role, other: Role) -> bool:
+    """Return whether a role may send what another may; a gateway may what a controller and an operator may."""
+    return role is other or (role is Role.GATEWAY and other in RESETTING)
 
 
 def _node_may(topic: Topic) -> tuple[Permission, ...]:

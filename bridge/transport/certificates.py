@@ -17,7 +17,7 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from zenostat.bridge.transport.access_control import TRAINER
+from zenostat.bridge.transport.access_control import RESETTING, TRAINER
 from zenostat.bridge.transport.certificate_files import (
     check_private,
     in_folder,
@@ -42,7 +42,7 @@ DAYS = 365
 MAX_DAYS = 3650
 """Validity of an authority, and so the longest validity of its certificates."""
 
-_FIRST: Names = {**{role.value: (role,) for role in CERTIFIED}, TRAINER: (Role.CONTROLLER, Role.OPERATOR)}
+_FIRST: Names = {**{role.value: (role,) for role in CERTIFIED}, TRAINER: RESETTING}
 """The names for which `make` creates certificates."""
 
 _LOCAL = ("localhost", "127.0.0.1", "::1")

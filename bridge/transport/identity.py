@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -11,6 +12,7 @@ from cryptography import x509
 from cryptography.exceptions import InvalidSignature
 from cryptography.x509.oid import NameOID
 
+from zenostat.bridge.transport.access_control import TRAINER, includes
 from zenostat.bridge.transport.certificate_files import check_private, open_to_others, read_certificate, read_key
 from zenostat.bridge.transport.name_list import CERTIFIED, NAMES, Names, read_names
 from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName, did_you_mean
@@ -81,45 +83,53 @@ class Identity:
         return read_names(self.authority.parent, read_certificate(self.authority))
 
 
-def identity(folder: Path, role: Role | None, name: str | None = None) -> Identity:
+def identity(folder: Path, role: Role | Sequence[Role] | None, name: str | None = None) -> Identity:
     """Validate a certificate, and return its files.
 
     Args:
         folder: of the keys.
-        role: that it must have; None is any, except a node's.
-        name: of the certificate; None is that of the role.
+        role: that it must have, or several; None is any, except a node's.
+        name: of the certificate; None is that of the role, of several roles `trainer`.
 
     Raises:
         InvalidConfig: neither role nor name, no such folder or file, an expired certificate, one of another authority
             or role, a key that does not match or that other users can read; the text lists all errors.
         UnknownName: there is no certificate of that name.
     """
-    if name is None and role is None:
+    needed = (role,) if isinstance(role, Role) else tuple(role or ())
+    if name is None and not needed:
         raise InvalidConfig(f"name a certificate or a role: {', '.join(CERTIFIED)}")
     if any(character in str(folder) for character in ";?"):
         raise InvalidConfig(f"Zenoh cannot read keys from {folder}: choose a path without ';' and '?'")
-    name = name or str(role)
+    name = name or (needed[0].value if len(needed) == 1 else TRAINER)
     authority = read_certificate(folder / f"{AUTHORITY}.pem")
     path, key = folder / f"{name}.pem", folder / f"{name}.key"
     if not path.exists():
-        known = [certificate.name for certificate in show(folder) if role in (None, *certificate.roles)]
+        known = [certificate.name for certificate in show(folder) if not _missing(needed, certificate.roles)]
+        options = "".join(f" --role {each}" for each in needed or (Role.CONTROLLER,))
         raise UnknownName(
             f"no certificate {name!r} in {folder}; {did_you_mean(name, known)}. "
-            f"Create it with: zenostat keys add {name} --role {role or Role.CONTROLLER}"
+            f"Create it with: zenostat keys add {name}{options}"
         )
     certificate = read_certificate(path)
     errors = ErrorCollector()
     described = describe(name, certificate, authority)
     if described.fault:
         errors.errors.append(InvalidConfig(f"{path}: {described.fault}"))
-    if role not in (None, *described.roles):
+    if _missing(needed, described.roles):
         having = " and ".join(described.roles) or "authority"
-        errors.errors.append(InvalidConfig(f"{path} is of the role {having}; {role} expected"))
-    if role is None and Role.NODE in described.roles:
+        example = f", as {TRAINER}.pem has" if len(needed) > 1 else ""
+        errors.errors.append(InvalidConfig(f"{path} is of the role {having}; {' and '.join(needed)} expected{example}"))
+    if not needed and Role.NODE in described.roles:
         errors.errors.append(InvalidConfig(f"{path} is that of a node; another program connects with its own"))
     errors.collect(lambda: _check_key(key, certificate))
     errors.raise_if_any()
     return Identity(folder / f"{AUTHORITY}.pem", path, key, _holder(certificate), described.roles, described.expires)
+
+
+def _missing(needed: Sequence[Role], roles: Sequence[Role]) -> list[Role]:
+    """Return the needed roles that a certificate with these roles lacks."""
+    return [role for role in needed if not any(includes(each, role) for each in roles)]
 
 
 def names_of(folder: Path) -> dict[str, tuple[Role, ...]]:

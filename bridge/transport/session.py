@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from zenostat.bridge.runtime.exhaustion import describe_exhaustion
-from zenostat.bridge.transport.access_control import TRAINER, acl_config
+from zenostat.bridge.transport.access_control import acl_config
 from zenostat.topics import codec
 from zenostat.topics.addresses import is_loopback
 from zenostat.topics.errors import AddressInUse, BusError, ErrorCollector, InvalidConfig, NodeNotFound
@@ -141,7 +141,7 @@ def open_session(
     wait: bool = False,
     expose: bool = False,
     keys: Path | None = None,
-    role: Role | None = None,
+    role: Role | Sequence[Role] | None = None,
     certificate: str | None = None,
     mode: Mode | None = None,
 ) -> OpenSession:
@@ -155,13 +155,15 @@ def open_session(
         keys: a folder created by `zenostat keys init`, or a certificate in it (`FOLDER/NAME.pem`). All endpoints must
             then be `tls/` ones, both sides present their certificates, and the listening side applies the rules of
             `zenostat.bridge.transport.access_control`.
-        role: a role that the certificate to present must have; required with `keys`, except with `certificate`.
-        certificate: name of the certificate, created by `zenostat keys add`; None is that of the role.
+        role: the role that the certificate to present must have, or several; required with `keys`, except with
+            `certificate`.
+        certificate: name of the certificate, created by `zenostat keys add`; None is that of the role, of several roles
+            `trainer`.
         mode: by default peer if the session listens, otherwise client.
 
     Raises:
         InvalidConfig: an invalid endpoint, one beyond loopback without `expose`, keys without `tls/` or the reverse, a
-            certificate that is missing, expired or of another authority; the text lists all errors.
+            certificate that is missing, expired or of another authority or role; the text lists all errors.
         AddressInUse: another program listens there.
         NodeNotFound: no program listens at any of `connect`, or the TLS handshake failed; the text has the reason.
         BusError: this process was forked from one with a session (Zenoh's threads do not survive a fork), or the
@@ -203,11 +205,6 @@ def names_certificate(keys: Path | None, certificate: str | None) -> bool:
 def keys_folder(keys: Path | None) -> Path | None:
     """Return the folder of keys, also where a certificate in it is named."""
     return keys.parent if keys is not None and keys.suffix == ".pem" else keys
-
-
-def certificate_file(keys: Path | None) -> Path | None:
-    """Return the certificate of a controller that also resets: in a folder of keys, that of the trainer."""
-    return keys if keys is None or keys.suffix == ".pem" else keys / f"{TRAINER}.pem"
 
 
 def exposure(listen: Sequence[str], keys: Path | None) -> str:
@@ -256,12 +253,14 @@ def _check_endpoints(
             )
 
 
-def _identity(keys: Path | None, role: Role | None, certificate: str | None, *, listens: bool) -> Identity | None:
+def _identity(
+    keys: Path | None, role: Role | Sequence[Role] | None, certificate: str | None, *, listens: bool
+) -> Identity | None:
     if keys is None:
         if certificate is not None:
             raise InvalidConfig(f"certificate {certificate!r} needs the folder of its keys: keys=FOLDER (--keys)")
         return None
-    if role is Role.ANYONE or (role is None and not names_certificate(keys, certificate)):
+    if role is Role.ANYONE or (not role and not names_certificate(keys, certificate)):
         raise InvalidConfig(f"keys need a role: {', '.join(role for role in Role if role is not Role.ANYONE)}")
     if listens and role is not Role.NODE:
         raise InvalidConfig(

@@ -226,6 +226,20 @@ def test_certificates__certificate_that_is_not_there(pki: Path) -> None:
         identity(pki / "nowhere", Role.NODE)
 
 
+@pytest.mark.parametrize("name", ["trainer", "gateway"])
+def test_certificates__several_roles_need_a_certificate_of_all(pki: Path, name: str) -> None:
+    """A gateway may send what a controller and an operator may."""
+    assert identity(pki, TRAINER).certificate == pki / "trainer.pem"
+    assert identity(pki, TRAINER, name).certificate == pki / f"{name}.pem"
+    with pytest.raises(
+        InvalidConfig, match=r"r\.pem is of the role operator; controller and operator expected, as tra"
+    ):
+        identity(pki, TRAINER, "operator")
+    (pki / "trainer.pem").unlink()
+    with pytest.raises(UnknownName, match="zenostat keys add trainer --role controller --role operator"):
+        identity(pki, TRAINER)
+
+
 def test_certificates__name_that_is_not_in_the_list_is_a_fault(tmp_path: Path) -> None:
     make(tmp_path)
     listed = (tmp_path / NAMES).read_bytes()

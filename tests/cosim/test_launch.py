@@ -5,7 +5,9 @@ from pathlib import Path
 import pytest
 from support.coupled_plants import district_file
 
+from zenostat.bridge.transport.certificates import make
 from zenostat.cosim.launch import PlantSet, input_files
+from zenostat.topics.errors import InvalidConfig
 
 
 @pytest.mark.parametrize(
@@ -49,3 +51,13 @@ def test_settings__weather_files_and_names(folder: Path) -> None:
     file = district_file(folder, f"plants:\n  a: {{building: office-small, weather: {weather}}}\n")
     expected = [f"{folder}/a.epw", "USA_CO_Denver", "/b.epw", f"{folder}/site"]
     assert PlantSet(file)._settings("a")["weather"] == expected
+
+
+def test_open__plant_whose_certificate_may_not_reset_is_named_with_its_line(folder: Path) -> None:
+    make(folder / "keys")
+    plant = "{node: office, connect: tls/127.0.0.1:1, keys: keys/monitor.pem}"
+    file = district_file(folder, f"plants:\n  house: {plant}\n")
+    with pytest.raises(InvalidConfig) as raised:
+        PlantSet(file).open()
+    expected = "is of the role monitor; controller and operator expected, as trainer.pem has"
+    assert str(raised.value) == f"{file.path}:2: plant 'house': {folder}/keys/monitor.pem {expected}"

@@ -290,8 +290,27 @@ def test_security__programs_that_reset_connect_with_the_trainer_s_certificate(no
     assert done.returncode == 0, done.stderr
     certificate = ("--certificate", "controller")
     done = run_program("run", "--node", "office", "--controller", "rbc", "--reset", *bus_options, *certificate)
-    assert done.returncode != 0
-    assert "may not query rpc/reset" in " ".join(done.stderr.split())
+    assert done.returncode == 2
+    assert "controller.pem is of the role controller; controller and operator expected" in done.stderr
+
+
+@pytest.mark.parametrize("name", ["controller", "operator", "monitor"])
+def test_security__environment_or_district_that_may_not_reset_claims_nothing(
+    node: NodeProgram, pki: Path, watcher: Bus, name: str
+) -> None:
+    """A claim of theirs would keep the node waiting."""
+    before = watcher.status("office").controllers
+    message = rf"{name}\.pem is of the role {name}; controller and operator expected, as trainer\.pem has"
+    for make_one in (
+        lambda keys: gym.make("zenostat/Building-v1", connect=node.endpoint, node="office", keys=keys),
+        lambda keys: gym.make_vec(
+            "zenostat/Building-v1", num_envs=1, connect=[node.endpoint], node=["office"], keys=keys
+        ),
+        lambda keys: FoundPlant("office", node.endpoint, keys),
+    ):
+        with pytest.raises(InvalidConfig, match=message):
+            make_one(pki / f"{name}.pem")
+    assert watcher.status("office").controllers == before
 
 
 @pytest.mark.slow
@@ -301,7 +320,7 @@ def test_security__operator_may_stop_a_node_and_a_monitor_not(scratch: Path, pki
         with zenostat.connect(listen[0], keys=pki, role=Role.MONITOR, affinity="off") as watching:
             with pytest.raises(InvalidConfig, match="monitor 'monitor' may not query rpc/stop"):
                 watching.stop("own")
-            with pytest.raises(InvalidConfig, match=r"may not query rpc/claim.* of another role: controller"):
+            with pytest.raises(InvalidConfig, match=r"may not query rpc/claim.* that also has the role controller"):
                 watching.controller("own")
             assert watching.status("own").state is State.WAITING
         with zenostat.connect(listen[0], keys=pki, role=Role.OPERATOR, affinity="off") as operating:
