@@ -12,13 +12,16 @@ from zenostat.topics.errors import InvalidConfig, UsageError
 
 
 @contextmanager
-def user_file(path: Path, error: type[UsageError] = InvalidConfig, expected: str = "a file") -> Iterator[None]:
+def user_file(
+    path: Path, error: type[UsageError] = InvalidConfig, expected: str = "a file", remedy: str = ""
+) -> Iterator[None]:
     """Turn the errors of reading a user's file into one sentence.
 
     Args:
         path: the file.
         error: class of the error to raise.
         expected: what a folder is not, such as "a YAML file".
+        remedy: what to do if there is no file.
 
     Raises:
         UsageError: the file does not exist, is a folder, cannot be read, or is not UTF-8 or not CSV.
@@ -26,7 +29,7 @@ def user_file(path: Path, error: type[UsageError] = InvalidConfig, expected: str
     try:
         yield
     except FileNotFoundError:
-        raise error(f"there is no file {absolute(path)}") from None
+        raise error(f"there is no file {absolute(path)}" + (f"; {remedy}" if remedy else "")) from None
     except IsADirectoryError:
         raise error(f"{absolute(path)} is a folder; expected {expected}") from None
     except (OSError, RuntimeError, UnicodeDecodeError, csv.Error) as reason:  # RuntimeError: ~name of an unknown user

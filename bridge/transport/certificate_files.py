@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
+from codecs import BOM_UTF8
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 from zenostat.bridge.transport.name_list import NAMES, Names, sign_names
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.user_file import user_file
 
 
 def write_certificate(folder: Path, name: str, certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey) -> None:
@@ -53,24 +55,18 @@ def in_folder(folder: Path, function: Callable[[], None]) -> None:
 
 def read_certificate(path: Path) -> x509.Certificate:
     """Read a certificate; `InvalidConfig` if there is none."""
+    content = _read_pem(path, f"create a folder of keys with: zenostat keys init {path.parent}")
     try:
-        return x509.load_pem_x509_certificate(path.read_bytes())
-    except OSError:
-        raise InvalidConfig(
-            f"there is no {path}; create a folder of keys with: zenostat keys init {path.parent}"
-        ) from None
+        return x509.load_pem_x509_certificate(content)
     except ValueError:
         raise InvalidConfig(f"{path} is not a certificate (PEM)") from None
 
 
 def read_key(path: Path) -> ec.EllipticCurvePrivateKey:
     """Read a private key that `zenostat keys` created; `InvalidConfig` if there is none."""
+    content = _read_pem(path, "it is on the machine where the keys were created")
     try:
-        key = load_pem_private_key(path.read_bytes(), None)
-    except FileNotFoundError:
-        raise InvalidConfig(f"there is no {path}; it is on the machine where the keys were created") from None
-    except OSError as error:
-        raise InvalidConfig(f"cannot read {path}: {error.strerror}") from None
+        key = load_pem_private_key(content, None)
     except (ValueError, TypeError):
         raise InvalidConfig(f"{path} is not a private key without a password (PEM)") from None
     if not isinstance(key, ec.EllipticCurvePrivateKey):
@@ -78,14 +74,16 @@ def read_key(path: Path) -> ec.EllipticCurvePrivateKey:
     return key
 
 
+def _read_pem(path: Path, remedy: str) -> bytes:
+    """Read a PEM file; `InvalidConfig` if there is none, with the remedy, or if Zenoh could not read it."""
+    with user_file(path, expected="a PEM file", remedy=remedy):
+        content = path.read_bytes()
+    if content.startswith(BOM_UTF8):
+        raise InvalidConfig(f"{path} begins with a byte order mark, which PEM does not have; save it without")
+    return content
+
+
 def check_private(key: Path) -> None:
     """Raise `InvalidConfig` if other users can read a key's file."""
-    if fault := open_to_others(key):
-        raise InvalidConfig(f"{key} {fault}")
-
-
-def open_to_others(key: Path) -> str:
-    """Return an error if other users can read a key's file; otherwise, or if it does not exist, an empty text."""
-    if key.exists() and key.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
-        return f"can be read by other users; restrict its permissions: chmod 600 {key}"
-    return ""
+    if key.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+        raise InvalidConfig(f"{key} can be read by other users; restrict its permissions: chmod 600 {key}")

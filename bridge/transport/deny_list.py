@@ -42,7 +42,7 @@ def read_revoked(folder: Path) -> frozenset[str]:
     """
     path = folder / REVOKED
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except FileNotFoundError:
         return frozenset()
     except (OSError, UnicodeDecodeError) as error:

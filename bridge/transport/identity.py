@@ -13,7 +13,7 @@ from cryptography.exceptions import InvalidSignature
 from cryptography.x509.oid import NameOID
 
 from zenostat.bridge.transport.access_control import TRAINER, includes
-from zenostat.bridge.transport.certificate_files import check_private, open_to_others, read_certificate, read_key
+from zenostat.bridge.transport.certificate_files import check_private, read_certificate, read_key
 from zenostat.bridge.transport.name_list import CERTIFIED, NAMES, Names, read_names
 from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName, did_you_mean
 from zenostat.topics.keys import Role
@@ -162,8 +162,11 @@ def _shown(path: Path, authority: x509.Certificate, listed: Names | None) -> Cer
     described = describe(path.stem, certificate, authority)
     if described.fault:
         return described
-    if fault := open_to_others(key):
-        return replace(described, fault=f"{key.name} {fault}")
+    if key.exists():
+        try:
+            _check_key(key, certificate)
+        except InvalidConfig as error:
+            return replace(described, fault=str(error))
     if listed is not None and path.stem != AUTHORITY and (holder := _holder(certificate)) not in listed:
         return replace(
             described, fault=f"{holder!r} is not in {NAMES}, so no node accepts it; add it: zenostat keys add"

@@ -22,6 +22,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.file_lock import locked
 from zenostat.topics.keys import Role, check_name, is_own
+from zenostat.topics.user_file import user_file
 
 NAMES = "names.json"
 """Name of the file in a folder of keys."""
@@ -102,17 +103,16 @@ def read_names(folder: Path, authority: x509.Certificate) -> dict[str, tuple[Rol
     """Return the names of an authority.
 
     Raises:
-        InvalidConfig: there is no list, it is damaged, or its authority has not signed it.
+        InvalidConfig: there is no list, it cannot be read or is damaged, or its authority has not signed it.
     """
     path = folder / NAMES
+    remedy = "copy this list of names and roles from the folder where the keys were created"
+    with user_file(path, expected="a list of names", remedy=remedy):
+        text = path.read_bytes()
     try:
-        content = json.loads(path.read_bytes())
+        content = json.loads(text)
         roles, signature = content["names"], base64.b64decode(content["signature"], validate=True)
         names = {check_name(name, "name"): check_roles([Role(role) for role in roles[name]]) for name in roles}
-    except OSError:
-        raise InvalidConfig(
-            f"there is no {path}, the list of names and roles; copy it from the folder where the keys were created"
-        ) from None
     except (ValueError, TypeError, KeyError, AttributeError, binascii.Error, InvalidConfig) as error:
         raise InvalidConfig(f"{path} is not a list of names: {error}") from None
     public_key = authority.public_key()

@@ -1,9 +1,11 @@
 """Folders of keys: what is made, what is refused, and what OpenSSL thinks of it."""
 
+import errno
 import os
 import re
 import shutil
 import subprocess
+from codecs import BOM_UTF8
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
@@ -203,7 +205,7 @@ def test_name_list__of_another_authority_or_none_is_refused(pki: Path, tmp_path:
     with pytest.raises(InvalidConfig, match="is not signed by the authority"):
         identity(pki, Role.NODE).names()
     (pki / "names.json").unlink()
-    with pytest.raises(InvalidConfig, match="copy it from the folder where the keys were created"):
+    with pytest.raises(InvalidConfig, match=r"copy this list .* from the folder where the keys were created"):
         identity(pki, Role.NODE).names()
 
 
@@ -307,7 +309,8 @@ def test_certificates__authority_whose_key_others_may_read_is_named_and_makes_no
 ) -> None:
     (pki / "ca.key").chmod(mode)
     faults = {one.name: one.fault for one in show(pki)}
-    assert faults.pop("ca") == f"ca.key can be read by other users; restrict its permissions: chmod 600 {pki}/ca.key"
+    key = f"{pki}/ca.key"
+    assert faults.pop("ca") == f"{key} can be read by other users; restrict its permissions: chmod 600 {key}"
     assert set(faults.values()) == {""}
     with pytest.raises(InvalidConfig, match=r"ca\.key can be read by other users; restrict its permissions: chmod 600"):
         add(pki, Role.CONTROLLER, "annex")
@@ -323,6 +326,42 @@ def test_certificates__file_of_something_else(pki: Path, name: str, message: str
     (pki / name).write_text("hello")
     with pytest.raises(InvalidConfig, match=message):
         identity(pki, Role.MONITOR)
+
+
+@pytest.mark.parametrize("name", ["ca.pem", "monitor.pem", "monitor.key"])
+def test_certificates__file_with_a_byte_order_mark_is_named(pki: Path, name: str) -> None:
+    """Zenoh reads no such file, and names none."""
+    (pki / name).write_bytes(BOM_UTF8 + (pki / name).read_bytes())
+    message = re.escape(f"{pki / name} begins with a byte order mark")
+    with pytest.raises(InvalidConfig, match=message):
+        identity(pki, Role.MONITOR)
+    if name.endswith(".key"):
+        assert [one.name for one in show(pki) if re.match(message, one.fault)] == ["monitor"]
+
+
+def test_read_revoked__takes_a_file_with_a_byte_order_mark(pki: Path) -> None:
+    (pki / REVOKED).write_bytes(BOM_UTF8 + b"monitor\r\n")
+    assert read_revoked(pki) == {"monitor"}
+
+
+@pytest.mark.parametrize("name", ["ca.pem", "monitor.pem", "monitor.key", "names.json"])
+def test_certificates__file_that_cannot_be_read_is_not_reported_as_missing(
+    pki: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    def read_bytes(path: Path) -> bytes:
+        if path.name == name:
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return read(path)
+
+    read = Path.read_bytes
+    with monkeypatch.context() as patch:  # root may read every file
+        patch.setattr(Path, "read_bytes", read_bytes)
+        with pytest.raises(InvalidConfig, match=rf"^cannot read .*/{name}: Permission denied$"):
+            identity(pki, Role.MONITOR).names()
+    (pki / name).unlink()
+    (pki / name).mkdir()
+    with pytest.raises(InvalidConfig, match=rf"/{name} is a folder; expected a (PEM file|list of names)"):
+        identity(pki, Role.MONITOR).names()
 
 
 # Several programs
