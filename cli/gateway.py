@@ -87,6 +87,7 @@ def zeromq(
                 lease_s=lease,
                 expose=expose,
                 identity=opened.name,
+                why_gone=opened.why_gone,
                 clients=clients,
                 notify=notify,
             ) as running,
@@ -206,9 +207,10 @@ async def _serve(
             if not await _ends_before(starting, stopped):
                 return stopped.result()
             client, running = await starting
-            gone = f"gone, or it has revoked {opened.name}; waiting for it" if opened.name else "gone; waiting for it"
             client.listeners.presence.append(
-                lambda is_online: out.print(f"{node}: {'on the bus again' if is_online else gone}")
+                lambda is_online: out.print(
+                    f"{node}: on the bus again" if is_online else f"{node}: gone{opened.why_gone()}; waiting for it"
+                )
             )
             out.print(f"ready: {running.description}; press Ctrl-C to stop")
             stack.enter_context(reported(asyncio.get_running_loop().call_soon_threadsafe))

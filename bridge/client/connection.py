@@ -95,7 +95,7 @@ class Connection:
     def __init__(self, endpoint: str, session: OpenSession, affinity: Affinity) -> None:
         self.endpoint = endpoint
         self.identity, self.roles = session.name, session.roles
-        self._expired = session.expired
+        self._expired, self._why_gone = session.expired, session.why_gone
         self.timeout_s, self.via = _REQUEST_TIMEOUT_S, ""
         self._close, self._closed = ExitStack(), False
         self.affinity = affinity
@@ -196,22 +196,17 @@ class Connection:
                 "offer it"
             )
         starting = "" if known else " (one may be starting)"
-        denied = f", or {self._denied()}" if self.identity and not known else ""
+        denied = "" if known else self._why_gone()
         raise NodeNotFound(f"no node {node!r} on {self.endpoint}; {did_you_mean(node, known)}{starting}{denied}")
 
-    def _denied(self) -> str:
-        """Return why no node may reply to this connection's certificate."""
-        return self._expired() or f"they have revoked {self.identity}, or their list of names does not have it"
-
     def lost(self, node: str, where: str = "") -> NodeLost:
-        """Return the error for a node that has left the bus; with keys, it names a certificate that has expired.
+        """Return the error for a node that has left the bus; with keys, it says how a certificate may be the reason.
 
         Args:
             node: The node's name.
             where: How far the caller had come, for the text.
         """
-        expired = self._expired(self.endpoint)
-        return NodeLost(f"node {node!r} is gone{where}" + (f": {expired}" if expired else ""))
+        return NodeLost(f"node {node!r} is gone{where}{self._why_gone(self.endpoint)}")
 
     def _signed(self, request: Message) -> tuple[Message, str]:
         """Return a request with its sender's name, and that name: below the one in the certificate."""

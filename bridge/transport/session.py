@@ -118,6 +118,20 @@ class OpenSession(AbstractContextManager[zenoh.Session]):
 
         return expired_certificate(endpoint, self._identity)
 
+    def why_gone(self, endpoint: str = "") -> str:
+        """Return the end of a sentence on a node that is gone: how its own certificate may be the reason.
+
+        Args:
+            endpoint: whose certificate is looked at as well, over the network; empty: none.
+
+        Returns:
+            ": " and that a certificate has expired, or ", or " and that its name may be revoked; empty without keys.
+        """
+        if self._identity is None:
+            return ""
+        expired = self.expired(endpoint)
+        return f": {expired}" if expired else f", or {self.name} is revoked or not in the list of names"
+
     def names(self) -> dict[str, tuple[Role, ...]]:
         """Return the roles of each name of the authority, which a node or router reads; none without keys.
 

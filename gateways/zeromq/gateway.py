@@ -74,6 +74,8 @@ class Gateway:
         lease_s: a peer that answers no heartbeat for this time is disconnected; 0.1 to 3600.
         expose: allow endpoints that other machines can reach.
         identity: the name in the gateway's certificate; its clients send under that name, or names below it.
+        why_gone: returns how its own certificate may be the reason that a node is gone, to end a sentence; see
+            `zenostat.bridge.transport.session.OpenSession`.
         clients: what the clients may write by the names under which they send; `*` permits all requests.
         notify: called with a line for the operator about each denied request, once.
 
@@ -97,6 +99,7 @@ class Gateway:
         lease_s: float = LEASE_S,
         expose: bool = False,
         identity: str = "",
+        why_gone: Callable[[], str] = str,
         clients: Clients = UNRESTRICTED,
         notify: Callable[[str], None] = lambda _: None,
     ) -> None:
@@ -106,7 +109,8 @@ class Gateway:
         for endpoint in (publish, command):
             check_endpoint(endpoint, expose=expose)
         self.counts = Counts()
-        self._identity, self._clients, self._notices = identity, clients, Notices(notify)
+        self._identity, self._why_gone = identity, why_gone
+        self._clients, self._notices = clients, Notices(notify)
         self._stopped = False
         self._nodes: dict[str, NodeView] = {}
         self._announced: dict[str, _Announced] = {}
@@ -250,7 +254,7 @@ class Gateway:
         self._queues.lost(node)
         if not node.stopped:
             if self._identity:
-                self._notices.add(f"{node.name}: gone, or it has revoked {self._identity}")
+                self._notices.add(f"{node.name}: gone{self._why_gone()}")
             error = NodeLost(f"node {node.name!r} is gone")
             event = Event(kind=EventKind.FAILED, text=str(error), error=errors.to_wire(error)["error"])
             self._publish(BusMessage(keys.EVENT.at(node.name), codec.encoding(Event), codec.encode(event)))
@@ -318,8 +322,8 @@ class Gateway:
 
     def _process(self, request: Request) -> None:
         if request.node not in self._nodes:
-            revoked = f", or {self._identity} is revoked" if self._identity and not self._nodes else ""
-            why = f"no node {request.node!r} on the bus; {did_you_mean(request.node, self._nodes)}{revoked}"
+            denied_by = "" if self._nodes else self._why_gone()
+            why = f"no node {request.node!r} on the bus; {did_you_mean(request.node, self._nodes)}{denied_by}"
             self._answer(request, denied(NodeNotFound(why)))
         elif request.row in (keys.COMMAND_REQUEST, keys.CLAIM):
             self._queues.take(request)

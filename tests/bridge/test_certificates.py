@@ -8,6 +8,7 @@ import subprocess
 from codecs import BOM_UTF8
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,7 +23,7 @@ from zenostat.bridge.transport.certificates import add, make
 from zenostat.bridge.transport.deny_list import REVOKED, DenyList, read_revoked, revoke
 from zenostat.bridge.transport.identity import identity, names_of, show
 from zenostat.bridge.transport.name_list import NAMES
-from zenostat.bridge.transport.session import open_session
+from zenostat.bridge.transport.session import OpenSession, open_session
 from zenostat.topics.errors import InvalidConfig, UnknownName
 from zenostat.topics.keys import Role
 
@@ -266,6 +267,15 @@ def test_certificates__expired_certificate(pki: Path, monkeypatch: pytest.Monkey
     remedy = "zenostat keys add NAME --role ROLE --force"
     with pytest.raises(InvalidConfig, match=rf"late\.pem: expired on \d{{4}}-\d\d-\d\d \d\d:\d\d UTC; .*{remedy}"):
         identity(pki, Role.CONTROLLER, "late")
+
+
+def test_why_gone__says_that_the_own_certificate_has_expired_or_may_be_revoked(pki: Path) -> None:
+    session: Any = None
+    shown = identity(pki, Role.GATEWAY)
+    assert OpenSession(session, shown).why_gone() == ", or gateway is revoked or not in the list of names"
+    past = replace(shown, expires=datetime.now(UTC) - timedelta(days=1))
+    assert OpenSession(session, past).why_gone().startswith(f": {pki / 'gateway.pem'} expired on ")
+    assert OpenSession(session).why_gone() == ""
 
 
 @pytest.mark.parametrize(("days", "left"), [(1, "23 h"), (2, "47 h"), (29, "28 days"), (31, "")])

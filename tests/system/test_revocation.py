@@ -20,7 +20,7 @@ from zenostat.bridge.transport.certificates import add
 from zenostat.bridge.transport.deny_list import REVOKED, read_revoked, revoke, shut_down
 from zenostat.bridge.transport.session import Mode, open_session
 from zenostat.topics import codec, keys
-from zenostat.topics.errors import InvalidConfig, NodeNotFound, RequestRejected, UnknownName, UsageError
+from zenostat.topics.errors import InvalidConfig, NodeLost, NodeNotFound, RequestRejected, UnknownName, UsageError
 from zenostat.topics.keys import Role
 from zenostat.topics.messages import (
     Claim,
@@ -36,6 +36,7 @@ from zenostat.topics.messages import (
 
 PLANT = "zenostat.agent_sdk.testing.fake_plant:FakePlant"
 PEOPLE = ("ann", "bob", "cleo", "dan", "eve", "fay")
+NO_LONGER = "revoked or not in the list of names"
 BOTH = (Role.CONTROLLER, Role.OPERATOR)
 
 
@@ -93,7 +94,7 @@ def test_revoke__ends_claims_values_and_links_of_a_name_and_nothing_of_others(
         link = own.controller("room", name="agent", priority=9)
         kept = others.controller("room", name="agent", priority=11)
         link.reset()
-        link.send({actuator: 25.0})
+        link.send({actuator: 20.0})
         own.write("room", rest[0], 26.0 if rest[0] != actuator else 25.0, priority=3, source="screen")
         others.write("room", rest[0], None, priority=4)
         before = operator.priorities("room")
@@ -115,6 +116,8 @@ def test_revoke__ends_claims_values_and_links_of_a_name_and_nothing_of_others(
         for _ in range(3):  # it connects again meanwhile, and is disconnected each time
             until(lambda: own.session.info.links() == [], "its link has ended")
             others.write("room", rest[0], None, priority=4)
+        with pytest.raises(NodeLost, match=rf"node 'room' is gone \(last sample: .*\), or {name} is {NO_LONGER}"):
+            link.receive()
     assert name in read_revoked(pki)
 
 
@@ -204,7 +207,7 @@ def test_revoked_name__has_no_rules_once_a_node_has_started(tmp_path: Path) -> N
             zenostat.connect(endpoint, keys=pki / "monitor.pem", affinity="off") as bus,
             pytest.raises(
                 NodeNotFound,
-                match=r"no node 'room' on .*; there are none \(one may be starting\), or they have revoked monitor",
+                match=r"no node 'room' on .*; there are none \(one may be starting\), or monitor is revoked or not in",
             ),
         ):
             bus.status("room")
@@ -272,7 +275,7 @@ def test_revoke__gateway_names_it_as_a_reason_why_it_has_no_node(node: NodeProgr
     options = ("--connect", node.endpoint, "--keys", str(pki), "--address", "127.0.0.1:0")
     with RunningGateway("modbus", "room", *options) as gateway:
         operator.revoke("room", "gateway")
-        assert gateway.program.stdout.readline() == "room: gone, or it has revoked gateway; waiting for it\n"
+        assert gateway.program.stdout.readline() == f"room: gone, or gateway is {NO_LONGER}; waiting for it\n"
 
 
 def test_revoke__what_cannot_be_revoked(node: NodeProgram, pki: Path, operator: Bus) -> None:

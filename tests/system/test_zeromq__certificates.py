@@ -105,4 +105,4 @@ def test_zeromq_gateway__names_revocation_as_a_reason_why_it_has_no_node(scratch
         zenostat.connect(node.endpoint, keys=folder / "operator.pem", affinity="off") as operator,
     ):
         operator.revoke("office", "gateway")
-        assert running.process.stderr.readline() == "office: gone, or it has revoked gateway\n"
+        assert running.process.stderr.readline() == "office: gone, or gateway is revoked or not in the list of names\n"
