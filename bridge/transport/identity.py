@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
+from math import ceil
 from pathlib import Path
 
 from cryptography import x509
@@ -224,7 +225,8 @@ def expiry_warning(expires: datetime) -> str:
         return ""
     if left <= timedelta(0):
         return expired_on(expires)
-    duration = f"{left.days} days" if left.days > 1 else f"{int(left.total_seconds() / 3600)} h"
+    hours, days = int(left / timedelta(hours=1)), left.days
+    duration = f"{days} days" if days > 1 else f"{hours} h" if hours else f"{ceil(left / timedelta(minutes=1))} min"
     return f"expires on {expires:{_MINUTE}}, in {duration}; {_RENEW}"
 
 

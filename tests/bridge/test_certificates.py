@@ -21,7 +21,7 @@ from support.run_cli import run_program
 from zenostat.bridge.transport import certificates
 from zenostat.bridge.transport.certificates import add, make
 from zenostat.bridge.transport.deny_list import REVOKED, DenyList, read_revoked, revoke
-from zenostat.bridge.transport.identity import identity, names_of, show
+from zenostat.bridge.transport.identity import expiry_warning, identity, names_of, show
 from zenostat.bridge.transport.name_list import NAMES
 from zenostat.bridge.transport.session import OpenSession, open_session
 from zenostat.topics.errors import InvalidConfig, UnknownName
@@ -287,6 +287,11 @@ def test_certificates__that_expire_within_30_days_are_warned_of(tmp_path: Path, 
     expected = f"expires on {certificate.expires:%Y-%m-%d %H:%M} UTC, in {left}; {remedy}"
     assert warnings["monitor"] == (expected if left else "")
     assert certificate.warning == (f"{certificate.certificate} {expected}" if left else "")
+
+
+@pytest.mark.parametrize(("seconds", "left"), [(3900, "1 h"), (3000, "50 min"), (20, "1 min")])
+def test_expiry_warning__counts_the_minutes_of_the_last_hour(seconds: float, left: str) -> None:
+    assert f" UTC, in {left}; renew it" in expiry_warning(datetime.now(UTC) + timedelta(seconds=seconds))
 
 
 def test_certificates__certificate_of_the_morrow(pki: Path, monkeypatch: pytest.MonkeyPatch) -> None:
