@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import wraps
+from functools import cache, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,6 +20,7 @@ from zenostat.bridge.transport.session import (
     names_certificate,
     open_session,
 )
+from zenostat.cli.console import err
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.keys import Role
 
@@ -98,17 +99,28 @@ class BusOptions:
         from zenostat import connect
 
         required = RESETTING if resets else self._required(role)
-        return connect(self.endpoint, keys=self.keys, role=required, certificate=self.certificate)
+        return connect(self.endpoint, keys=self.keys, role=required, certificate=self.certificate, warn=_warn_once)
 
     def open_session(self, role: Role = Role.CONTROLLER, *, wait: bool = False) -> OpenSession:
         """Open a Zenoh session instead, for programs without requests; arguments and errors as of `open_bus`."""
         required = self._required(role)
         return open_session(
-            connect=[self.endpoint], wait=wait, keys=self.keys, role=required, certificate=self.certificate
+            connect=[self.endpoint],
+            wait=wait,
+            keys=self.keys,
+            role=required,
+            certificate=self.certificate,
+            warn=_warn_once,
         )
 
     def _required(self, role: Role) -> Role | None:
         return None if role is Role.MONITOR and names_certificate(self.keys, self.certificate) else role
+
+
+@cache
+def _warn_once(text: str) -> None:
+    """Print a warning, however often the command connects."""
+    err.warning(text)
 
 
 DEFAULTS = BusOptions()

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from zenostat.bridge.transport.session import default_endpoint
-from zenostat.cli.console import out, progress, until_signal
+from zenostat.cli.console import err, out, progress, until_signal
 from zenostat.cli.node_options import Connect as Peers
 from zenostat.cli.node_options import Listen, NoListen
 from zenostat.cli.options import BusOptions, CertificateName, Expose, Keys
@@ -94,7 +94,7 @@ def replay(
         period = tuple(map(datetime.fromisoformat, (reader.manifest.begin, reader.manifest.end)))
         selected = ReplayRange(_moment(begin, "--from", *period), _moment(end, "--to", *period))
         endpoints = [] if no_listen else [listen or default_endpoint(keys)]
-        settings = {"expose": expose, "keys": keys, "role": Role.NODE, "certificate": certificate}
+        settings = {"expose": expose, "keys": keys, "role": Role.NODE, "certificate": certificate, "warn": err.warning}
         try:
             opened = open_session(listen=endpoints, connect=connect or [], **settings)  # type: ignore[arg-type]
         except AddressInUse:
@@ -113,7 +113,6 @@ def replay(
 
 
 def _drive(file: Path, node: str, options: BusOptions, name: str, priority: int | None, speed: float | None) -> None:
-    from zenostat.cli.console import err
     from zenostat.lab.drive import drive
 
     with options.open_bus(resets=True) as bus, progress() as bars:

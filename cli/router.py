@@ -41,9 +41,10 @@ def router(
         role=Role.NODE,
         certificate=certificate,
         mode=Mode.ROUTER,
+        warn=err.warning,
     )
     with until_signal() as stop, opened as session, ExitStack() as stack:
-        for warning in filter(None, (exposure(endpoints, keys), opened.warning)):
+        if warning := exposure(endpoints, keys):
             err.warning(warning)
         if (folder := keys_folder(keys)) is not None:
             from zenostat.bridge.transport.deny_list import DenyList

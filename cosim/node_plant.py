@@ -334,14 +334,20 @@ class FoundPlant(NodePlant):
         super().__init__(node, controller)
         self._is_interrupted = False
         self._overridden = frozenset[tuple[str, str]]()  # actuators of the latest sample, and who commands them
-        self._endpoint, self._keys = endpoint, keys
+        self._endpoint, self._keys, self._warned = endpoint, keys, ""
         self._threads = ThreadPoolExecutor(1)
         self._search: Future[bool] | None = None
         self.manifest = self.bus.manifest(node)
 
     def open_bus(self) -> Bus:
         """Connect to the bus."""
-        return connect(self._endpoint, affinity=Affinity.OFF, keys=self._keys, role=RESETTING)
+        return connect(self._endpoint, affinity=Affinity.OFF, keys=self._keys, role=RESETTING, warn=self._warn)
+
+    def _warn(self, text: str) -> None:
+        """Warn once, however often it connects."""
+        if text != self._warned:
+            self._warned = text
+            self._warnings.append(f"node {self._node!r}: {text}")
 
     def is_reachable(self) -> bool:
         """Return whether the node answers; it is looked for in another thread, which may take seconds."""

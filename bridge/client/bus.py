@@ -8,10 +8,11 @@ with zenostat.connect("tcp/127.0.0.1:7447") as bus:
 from __future__ import annotations
 
 import warnings
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from datetime import datetime
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -60,6 +61,7 @@ def connect(
     keys: Path | str | None = None,
     role: Role | str | Collection[Role | str] | None = None,
     certificate: str | None = None,
+    warn: Callable[[str], object] | None = None,
 ) -> Bus:
     """Connect to the bus at `endpoint`; use the result in a `with` statement.
 
@@ -73,6 +75,7 @@ def connect(
         role: The role that the certificate must have: `controller`, the default, or `operator`, `monitor`, `gateway`;
             several for a program that needs the rights of all, such as a controller and operator that also resets.
         certificate: Name of the certificate; by default that of the role, of several roles `trainer`.
+        warn: Called with the date on which the certificate expires, if that is soon; None is `warnings.warn`.
 
     Raises:
         NodeNotFound: No process listens at the endpoint, or the TLS session failed.
@@ -86,12 +89,13 @@ def connect(
     if core is None or placement is not Affinity.SEPARATE_CORES:
         local_node = None
     before = set() if local_node is None else own_threads()
+    warn = warn or partial(warnings.warn, stacklevel=3)
     with _thread_placement(placement, core):
         if not required and not names_certificate(folder, certificate):
             required = [Role.CONTROLLER]
-        session = open_session(connect=[endpoint], wait=wait, keys=folder, role=required, certificate=certificate)
-    if session.warning:
-        warnings.warn(session.warning, stacklevel=2)
+        session = open_session(
+            connect=[endpoint], wait=wait, keys=folder, role=required, certificate=certificate, warn=warn
+        )
     bus = Bus(endpoint, session, placement)
     if core is not None and local_node is not None:
         bus.placement = FollowedPlacement(local_node, core, own_threads() - before)

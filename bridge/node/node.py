@@ -7,6 +7,7 @@ import os
 import signal
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -56,6 +57,7 @@ class Node:
         server: the node on the bus.
         branches: its snapshots and branches.
         namesake_warning: the latest warning that another node of the same name is on the bus; empty if none is.
+        certificate_warning: the date on which its certificate expires, if that was soon at its start; otherwise empty.
         expiry_warning: the latest warning since its start that its certificate expires or has expired; empty if none.
         link_warning: the latest sentence about the loss or the return of its only connection; empty if none.
 
@@ -83,7 +85,7 @@ class Node:
         timeout_s = SHUTDOWN_TIMEOUT_S + finish_s
         self._guard = ShutdownGuard(self._stop_waiting, self._end_process if program else None, timeout_s)
         self._has_server = False
-        self.namesake_warning = self.expiry_warning = self.link_warning = ""
+        self.namesake_warning = self.certificate_warning = self.expiry_warning = self.link_warning = ""
         self._deny_list: DenyList | None = None
         self._resumption: Resumption | None = None
         self._close = ExitStack()
@@ -123,11 +125,6 @@ class Node:
     def manifest(self) -> Manifest:
         """The description that the node publishes of itself."""
         return self.server.manifest
-
-    @property
-    def certificate_warning(self) -> str:
-        """Date on which its certificate expires, if that is soon; otherwise empty."""
-        return self._opened.warning
 
     @property
     def exchange(self) -> StepExchange:
@@ -183,6 +180,7 @@ class Node:
             keys=settings.keys,
             role=keys.Role.NODE,
             certificate=settings.certificate,
+            warn=partial(setattr, self, "certificate_warning"),
         )
         self.session = self._close.enter_context(self._opened)
         self.instance = str(self.session.zid())
@@ -383,7 +381,7 @@ class Node:
             self._recordings.start(self._record, overwrite=settings.record_overwrite, on_full=settings.record_on_full)
         if self._resumption is None:
             self._episodes.begin_first()
-        for warning in filter(None, (*self.plant.description.warnings, self._opened.warning)):
+        for warning in filter(None, (*self.plant.description.warnings, self.certificate_warning)):
             server.event(server.exchange.event(EventKind.WARNING, warning))
         if self._resumption is None:
             server.publish()

@@ -10,6 +10,7 @@ import json
 import os
 import re
 import socket
+import warnings
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, suppress
 from enum import StrEnum
@@ -94,14 +95,12 @@ class OpenSession(AbstractContextManager[zenoh.Session]):
     Attributes:
         name: the name in the certificate that it presents; empty without keys.
         roles: the roles of that certificate; none without keys.
-        warning: when that certificate expires, if that is soon; otherwise empty.
     """
 
     def __init__(self, session: zenoh.Session, identity: Identity | None = None) -> None:
         self._session, self._identity = session, identity
         self.name = identity.name if identity else ""
         self.roles = identity.roles if identity else ()
-        self.warning = identity.warning if identity else ""
 
     def watch_expiry(self, timer: Timer, warn: Callable[[str], None]) -> None:
         """Call a function in the timer's thread with a warning before its certificate expires, and when it does."""
@@ -158,6 +157,7 @@ def open_session(
     role: Role | Sequence[Role] | None = None,
     certificate: str | None = None,
     mode: Mode | None = None,
+    warn: Callable[[str], object] | None = None,
 ) -> OpenSession:
     """Open a session, to be entered with `with`.
 
@@ -174,6 +174,7 @@ def open_session(
         certificate: name of the certificate, created by `zenostat keys add`; None is that of the role, of several roles
             `trainer`.
         mode: by default peer if the session listens, otherwise client.
+        warn: called with the date on which the certificate expires, if that is soon; None is `warnings.warn`.
 
     Raises:
         InvalidConfig: an invalid endpoint, one beyond loopback without `expose`, keys without `tls/` or the reverse, a
@@ -202,13 +203,19 @@ def open_session(
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     try:
-        return OpenSession(zenoh.open(config), identity)
+        session = OpenSession(zenoh.open(config), identity)
     except zenoh.ZError as error:
         raise _bus_error(error, listen, connect, identity) from None
     except BaseException as error:  # a panic in Zenoh is no `Exception`
         if (text := describe_exhaustion(error)) is None:
             raise
         raise BusError(text) from None
+    if identity is not None and identity.warning:
+        if warn is None:
+            warnings.warn(identity.warning, stacklevel=2)
+        else:
+            warn(identity.warning)
+    return session
 
 
 def names_certificate(keys: Path | None, certificate: str | None) -> bool:

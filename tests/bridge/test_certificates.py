@@ -16,8 +16,11 @@ from typing import Any
 
 import pytest
 from support.certificates import expire
+from support.nodes import free_port
 from support.run_cli import run_program
 
+from zenostat.bridge.client.bus import connect
+from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.transport import certificates
 from zenostat.bridge.transport.certificates import add, make
 from zenostat.bridge.transport.deny_list import REVOKED, DenyList, read_revoked, revoke
@@ -292,6 +295,21 @@ def test_certificates__that_expire_within_30_days_are_warned_of(tmp_path: Path, 
 @pytest.mark.parametrize(("seconds", "left"), [(3900, "1 h"), (3000, "50 min"), (20, "1 min")])
 def test_expiry_warning__counts_the_minutes_of_the_last_hour(seconds: float, left: str) -> None:
     assert f" UTC, in {left}; renew it" in expiry_warning(datetime.now(UTC) + timedelta(seconds=seconds))
+
+
+def test_open_session__warns_of_a_certificate_that_expires_soon(tmp_path: Path) -> None:
+    make(tmp_path, days=20)
+    endpoint = f"tls/127.0.0.1:{free_port()}"
+    warned: list[str] = []
+    with open_session(listen=[endpoint], keys=tmp_path, role=Role.NODE, warn=warned.append):
+        assert warned == [identity(tmp_path, Role.NODE).warning]
+        for opener in (
+            lambda: open_session(connect=[endpoint], keys=tmp_path, role=Role.MONITOR),
+            lambda: connect(endpoint, keys=tmp_path, role=Role.MONITOR, affinity=Affinity.OFF),
+        ):
+            with pytest.warns(UserWarning, match=r"monitor\.pem expires on .*, in 19 days") as caught, opener():
+                pass
+            assert [warning.filename for warning in caught] == [__file__]
 
 
 def test_certificates__certificate_of_the_morrow(pki: Path, monkeypatch: pytest.MonkeyPatch) -> None:

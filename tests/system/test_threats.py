@@ -1,5 +1,6 @@
 """The threat page: each of its sentences names a test, and what no other file tests is tested below."""
 
+import json
 import os
 import pickle
 import re
@@ -14,9 +15,10 @@ from typing import Any
 import psutil
 import pytest
 from support.certificates import expire
+from support.gateways import RunningGateway
 from support.links import CuttableLink
 from support.nodes import NodeProgram, free_port, until
-from support.run_cli import run_python
+from support.run_cli import run_program, run_python
 from support.tank_plant import TANK
 from zenoh.handlers import RingChannel
 
@@ -190,6 +192,15 @@ def test_threats__certificate_that_expires_soon_is_warned_of_and_renewed_while_t
     with NodeProgram(folder / "node", plant=PLANT, listen=listen, keys=str(folder / "keys")) as node:
         with pytest.warns(UserWarning, match=r"expires on .* in 19 days; renew it with: zenostat keys add NAME "):
             zenostat.connect(node.endpoint, **arguments).close()
+        options = ("--connect", node.endpoint, "--keys", str(folder / "keys"))
+        text = r"\S*monitor.pem expires on .* in 19 days; renew it with: zenostat keys add NAME --role ROLE --force"
+        assert re.fullmatch(f"warning: {text}\n", run_program("status", *options).stderr)
+        (line,) = run_program("--log", "json", "status", *options).stderr.splitlines()
+        entry = json.loads(line)
+        assert entry["level"] == "warning"
+        assert re.fullmatch(text, entry["message"])
+        with RunningGateway("modbus", "office", *options, "--address", "127.0.0.1:0") as gateway:
+            assert len(re.findall("warning: .*gateway.pem expires on", gateway.end()[2])) == 1
         add(folder / "keys", Role.CONTROLLER, "controller", force=True)
         with warnings.catch_warnings(action="error"), zenostat.connect(node.endpoint, **arguments) as renewed:
             assert renewed.nodes() == ["office"]
