@@ -74,10 +74,15 @@ class Identity:
 
     @property
     def expired(self) -> str:
-        """Text that the certificate has expired; empty while it is valid. Clocks may differ by a minute."""
-        if self.expires > datetime.now(UTC) + _SKEW:
-            return ""
-        return f"{self.certificate} {expired_on(self.expires)}"
+        """Text that the certificate has expired; empty while it is valid. Clocks may differ by a minute.
+
+        Zenoh reads the file again whenever it connects, so one that has been renewed has not expired.
+        """
+        soon, expires = datetime.now(UTC) + _SKEW, self.expires
+        if expires <= soon:
+            with suppress(InvalidConfig):
+                expires = read_certificate(self.certificate).not_valid_after_utc
+        return "" if expires > soon else f"{self.certificate} {expired_on(expires)}"
 
     def names(self) -> dict[str, tuple[Role, ...]]:
         """Return the names of the authority, with the roles of each; `InvalidConfig` if the list cannot be used."""

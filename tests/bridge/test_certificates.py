@@ -272,12 +272,18 @@ def test_certificates__expired_certificate(pki: Path, monkeypatch: pytest.Monkey
         identity(pki, Role.CONTROLLER, "late")
 
 
-def test_why_gone__says_that_the_own_certificate_has_expired_or_may_be_revoked(pki: Path) -> None:
+def test_why_gone__says_that_the_own_certificate_has_expired_or_may_be_revoked(
+    pki: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     session: Any = None
     shown = identity(pki, Role.GATEWAY)
-    assert OpenSession(session, shown).why_gone() == ", or gateway is revoked or not in the list of names"
+    may_be_revoked = ", or gateway is revoked or not in the list of names"
+    assert OpenSession(session, shown).why_gone() == may_be_revoked
+    expire(pki, "gateway", monkeypatch, Role.GATEWAY)
     past = replace(shown, expires=datetime.now(UTC) - timedelta(days=1))
     assert OpenSession(session, past).why_gone().startswith(f": {pki / 'gateway.pem'} expired on ")
+    add(pki, Role.GATEWAY, "gateway", force=True)
+    assert OpenSession(session, past).why_gone() == may_be_revoked
     assert OpenSession(session).why_gone() == ""
 
 
