@@ -337,7 +337,8 @@ class FoundPlant(NodePlant):
         self._endpoint, self._keys, self._warned = endpoint, keys, ""
         self._threads = ThreadPoolExecutor(1)
         self._search: Future[bool] | None = None
-        self.manifest = self.bus.manifest(node)
+        manifest = self.bus.manifest(node)
+        self.manifest = manifest.model_copy(update={"warnings": (*manifest.warnings, *self.drain_warnings())})
 
     def open_bus(self) -> Bus:
         """Connect to the bus."""
@@ -347,7 +348,7 @@ class FoundPlant(NodePlant):
         """Warn once, however often it connects."""
         if text != self._warned:
             self._warned = text
-            self._warnings.append(f"node {self._node!r}: {text}")
+            self._warnings.append(text)
 
     def is_reachable(self) -> bool:
         """Return whether the node answers; it is looked for in another thread, which may take seconds."""

@@ -29,6 +29,7 @@ from zenostat.bridge.transport.certificates import add, make
 from zenostat.bridge.transport.identity import names_of
 from zenostat.bridge.transport.name_list import NAMES
 from zenostat.bridge.transport.session import open_session
+from zenostat.cosim.node_plant import FoundPlant
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import InvalidConfig, NodeLost, NodeNotFound, RequestRejected
 from zenostat.topics.keys import Role
@@ -201,6 +202,12 @@ def test_threats__certificate_that_expires_soon_is_warned_of_and_renewed_while_t
         assert re.fullmatch(text, entry["message"])
         with RunningGateway("modbus", "office", *options, "--address", "127.0.0.1:0") as gateway:
             assert len(re.findall("warning: .*gateway.pem expires on", gateway.end()[2])) == 1
+        plant = FoundPlant("office", node.endpoint, folder / "keys")
+        plant.recover()
+        assert plant.reset(0).values.shape[0] == 1
+        plant.close()
+        assert len([text for text in plant.manifest.warnings if "trainer.pem expires on" in text]) == 1
+        assert plant.drain_warnings() == []
         add(folder / "keys", Role.CONTROLLER, "controller", force=True)
         with warnings.catch_warnings(action="error"), zenostat.connect(node.endpoint, **arguments) as renewed:
             assert renewed.nodes() == ["office"]
