@@ -15,6 +15,9 @@ from zenostat.metrics.trajectory import Trajectory
 from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 from zenostat.topics.errors import InvalidConfig
 
+_EXPLORATION = (int.from_bytes(b"expl"),)
+"""Key of the random numbers of exploration, so that they are not those of controllers and plants of the same seed."""
+
 
 @dataclass(frozen=True, slots=True)
 class AgentEpisode:
@@ -75,8 +78,9 @@ def run_episode(
     """
     building: Any = env.unwrapped
     observation, info = env.reset(seed=seed)
-    exploration = np.random.default_rng(seed)
-    env.action_space.seed(seed)
+    exploration, sampling = np.random.SeedSequence(seed, spawn_key=_EXPLORATION).spawn(2)
+    decisions = np.random.default_rng(exploration)
+    env.action_space.seed(int(sampling.generate_state(1)[0]))
     recorder = TrajectoryRecorder(building.manifest)
     recorder.add(building.sample)
     observations, metrics = [observation], [info.get("reward_metrics", {})]
@@ -84,7 +88,7 @@ def run_episode(
     terminated = truncated = False
     while not (terminated or truncated):
         action = agent.action(building.sample)  # also where it is not sent: controllers count their timesteps
-        is_random.append(bool(exploration.random() < epsilon))
+        is_random.append(bool(decisions.random() < epsilon))
         if is_random[-1]:
             action = env.action_space.sample()
         observation, reward, terminated, truncated, info = env.step(action)

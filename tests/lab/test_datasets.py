@@ -13,8 +13,9 @@ from support.run_cli import run_python
 
 import zenostat  # noqa: F401  # registers the environments
 from zenostat import wrappers as w
-from zenostat.agent_sdk.controllers import Agent, load_controller
+from zenostat.agent_sdk.controllers import Agent, load_controller, make_controller
 from zenostat.lab.datasets import datasets_folder, write_dataset
+from zenostat.lab.datasets.episode import run_episode
 from zenostat.topics.errors import InvalidConfig, UnknownName
 
 minari = pytest.importorskip("minari")
@@ -159,6 +160,20 @@ def test_datasets__epsilon_is_the_share_of_random_actions(folder: Path) -> None:
     np.testing.assert_array_equal((chosen != fixed).any(axis=1), is_random)
     # 960 draws of probability 1/4: a mean of 240 with a standard deviation of 13.4.
     assert 180 < is_random.sum() < 300
+
+
+def test_datasets__random_actions_and_their_moments_are_independent() -> None:
+    """Of 400 first actions, those that are random fill their range, and say nothing of the next moment."""
+    with closing(fake()) as env:
+        low, high = env.action_space.low, env.action_space.high
+        agent = Agent(make_controller(load_controller("fixed"), env.unwrapped.manifest, {}))
+        episodes = [run_episode(env, agent, seed=seed, epsilon=0.4) for seed in range(400)]
+    first = [episode for episode in episodes if episode.is_random[0]]
+    shares = np.array([(episode.trajectory.actions[0] - low) / (high - low) for episode in first])
+    # 160 uniform numbers: a mean of 0.5 with a standard deviation of 0.023, and 0.07 for half of them.
+    assert np.abs(shares.mean(axis=0) - 0.5).max() < 0.1
+    follows = np.array([episode.is_random[1] for episode in first])
+    assert abs(shares[follows].mean() - shares[~follows].mean()) < 0.2
 
 
 @pytest.mark.slow
