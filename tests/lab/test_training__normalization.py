@@ -31,10 +31,10 @@ def fake() -> FakeEnv:
     return FakeEnv(**DAY)
 
 
-def trained(kind: str, path: Path, *, normalized: bool = True, callback: Any = None) -> Any:
+def trained(kind: str, path: Path, *, normalized: bool = True, callback: Any = None, **options: Any) -> Any:
     algorithm, parameters = KINDS[kind]
     envs: Any = DummyVecEnv([fake])
-    env = VecNormalize(envs) if normalized else envs
+    env = VecNormalize(envs, **options) if normalized else envs
     model = algorithm("MlpPolicy", env, **parameters, policy_kwargs={"net_arch": [8]}, seed=0, device="cpu")
     model.learn(48, callback=callback)
     model.save(path)
@@ -58,6 +58,15 @@ def test_training__normalization_beside_a_model_is_loaded(kind: str, tmp_path: P
     model.get_vec_normalize_env().save(str(tmp_path / "model.vecnormalize.pkl"))
     assert played(load_policy(f"{kind}:{path}")) == expected.reward
     assert played(lambda manifest: PolicyController(manifest, model)) == expected.reward
+
+
+def test_training__normalization_of_rewards_alone_leaves_observations_as_they_are(tmp_path: Path) -> None:
+    path = tmp_path / "model.zip"
+    model = trained("ppo", path, norm_obs=False)
+    with fake() as env:
+        (expected,) = evaluate_model(model, env, seed=1)
+    model.get_vec_normalize_env().save(str(tmp_path / "model.vecnormalize.pkl"))
+    assert played(load_policy(f"ppo:{path}")) == expected.reward
 
 
 @pytest.mark.parametrize("kind", KINDS)
