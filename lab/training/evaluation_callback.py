@@ -114,7 +114,7 @@ class EvaluationCallback(BaseCallback):
     def _on_training_start(self) -> None:
         mark_normalized(self.model)
         self._set_due()
-        if self._at_start and self.num_timesteps == 0:
+        if self._at_start and self.num_timesteps == 0 and self.best_reward is None:  # not resumed after it
             self._evaluate()
 
     def _on_step(self) -> bool:

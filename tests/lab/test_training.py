@@ -165,6 +165,15 @@ def test_training__training_is_the_same_with_and_without_evaluations(name: str) 
     assert plain[2] == evaluated[2]  # the global generators stand at the same place
 
 
+def test_training__resumed_before_its_first_step_has_one_evaluation_at_the_start() -> None:
+    for best, evaluated in ((None, [0]), (-1.0, [])):
+        callback = EvaluationCallback(fake, every=10**6, at_start=True)
+        callback.best_reward = best  # as a checkpoint of step 0 has it
+        with callback:
+            PPO("MlpPolicy", fake(), n_steps=24, batch_size=24, n_epochs=1, seed=0).learn(24, callback=callback)
+        assert [*callback.results] == evaluated
+
+
 class Written(KVWriter):
     """A logger's output in memory."""
 
