@@ -88,6 +88,7 @@ class NetworkPolicy:
         if "mean" in self.arrays:
             scaled = (values - self.arrays["mean"]) / np.sqrt(self.arrays["variance"] + self.epsilon)
             values = np.clip(scaled, -self.clip_observations, self.clip_observations).astype(np.float32)
+        values = values.ravel()  # an observation of several dimensions, such as of stacked frames
         index = 0
         for layer in self.layers:
             if layer == "linear":

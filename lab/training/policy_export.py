@@ -61,12 +61,15 @@ def _layers(model: BaseAlgorithm, what: str) -> tuple[list[torch.nn.Module], boo
     policy: Any = model.policy
     if hasattr(policy, "lstm_actor"):
         raise InvalidConfig(f"{what}: a recurrent policy cannot be exported, as its memory is no layer of this form")
-    if isinstance(policy, ActorCriticPolicy) and not policy.use_sde and not policy.squash_output:
+    if isinstance(policy, ActorCriticPolicy) and not policy.squash_output:
         extractor, layers, squashed = policy.pi_features_extractor, [*policy.mlp_extractor.policy_net], False
         layers.append(policy.action_net)
     elif isinstance(policy, SACPolicy) and not policy.actor.use_sde:
         actor = policy.actor
         extractor, layers, squashed = actor.features_extractor, [*actor.latent_pi, actor.mu], True
+    elif isinstance(policy, ActorCriticPolicy | SACPolicy):
+        text = "with squashed means of state-dependent exploration (use_sde)"
+        raise InvalidConfig(f"{what}: a policy {text} cannot be exported")
     else:
         raise InvalidConfig(f"{what}: only policies of PPO, A2C and SAC can be exported, not {type(policy).__name__}")
     if not isinstance(extractor, FlattenExtractor) or type(model.action_space).__name__ != "Box":

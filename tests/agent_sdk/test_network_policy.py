@@ -30,6 +30,7 @@ OFF_POLICY = {"learning_starts": 24, "batch_size": 16, "buffer_size": 150, "poli
 PARAMETERS: dict[str, dict[str, Any]] = {
     "ppo": {"n_steps": 24, "batch_size": 24, "n_epochs": 2, "policy_kwargs": {"net_arch": [8, 8]}},
     "sac": OFF_POLICY,
+    "a2c": {"n_steps": 24, "use_sde": True, "policy_kwargs": {"net_arch": [8, 8]}},
 }
 
 
@@ -37,7 +38,7 @@ def trained(name: str, folder: Path, **changes: Any) -> Path:
     fields: dict[str, Any] = {
         "algorithm": name, "scenario": "Fake-v1", "arguments": DAY, "steps": 72, "threads": 1,
         "wrappers": [{"wrapper": "PreviousObservation", "names": ["zone_1_air_temperature"]}],
-        "parameters": PARAMETERS[name], "evaluation": False, "output": str(folder),
+        "parameters": PARAMETERS.get(name), "evaluation": False, "output": str(folder),
     }  # fmt: skip
     train(read_training(fields | changes))
     return folder
@@ -104,6 +105,26 @@ def test_network_policy__acts_as_the_model_of_stable_baselines3(name: str, tmp_p
 
 
 @pytest.mark.slow
+def test_network_policy__policy_of_stacked_frames_acts_as_the_model(tmp_path: Path) -> None:
+    """Rewards alone are normalized, so that the observations are those of the wrapper."""
+    wrappers = [{"wrapper": "FrameStackObservation", "stack_size": 2}]
+    folder = trained("ppo", tmp_path / "training", wrappers=wrappers, normalization={"observations": False})
+    policy, model = export_policy(folder), load_policy(folder)
+    policy.save(tmp_path / "policy.npz")
+    assert load_network(tmp_path / "policy.npz").digest() == policy.digest()
+    rewards = []
+    for factory in (model, load_controller(str(tmp_path / "policy.npz"))):
+        with FakeEnv(**DAY) as env:
+            agent = Agent(make_controller(factory, env.unwrapped.manifest, {}))
+
+            def act(_: Any, env: Any = env, agent: Agent = agent) -> Any:
+                return agent.action(env.unwrapped.sample)
+
+            rewards.append(run_episode(env, act, seed=1)[0].reward)
+    assert rewards[1] == pytest.approx(rewards[0], rel=1e-4)
+
+
+@pytest.mark.slow
 def test_network_policy__file_is_the_same_each_time_and_needs_no_torch(tmp_path: Path) -> None:
     policy = export_policy(trained("ppo", tmp_path / "training"))
     for name in ("a.npz", "b.npz"):
@@ -126,6 +147,16 @@ def small(**changes: Any) -> NetworkPolicy:
               (("low", -1.0), ("high", 1.0))}  # fmt: skip
     arrays = {"weight_0": np.eye(2, dtype=np.float32), "bias_0": np.zeros(2, np.float32), **bounds}
     return NetworkPolicy(("linear",), False, arrays, **changes)
+
+
+def test_network_policy__observation_of_two_dimensions_is_read_row_by_row() -> None:
+    """As stable-baselines3's `FlattenExtractor` does."""
+    weights = np.arange(6, dtype=np.float32).reshape(1, 6)
+    low, high = np.full((2, 3), -1.0, np.float32), np.full((2, 3), 1.0, np.float32)
+    bounds = {"action_low": np.float32([-99.0]), "action_high": np.float32([99.0])}
+    arrays = {"weight_0": weights, "bias_0": np.zeros(1, np.float32), "observation_low": low, "observation_high": high}
+    policy = NetworkPolicy(("linear",), False, {**arrays, **bounds})
+    assert policy.predict([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])[0] == [0.0 + 5.0]
 
 
 def test_network_policy__scales_and_clips_as_documented() -> None:
@@ -167,10 +198,18 @@ def test_network_policy__other_files_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_network_policy__only_known_policies_are_exported(tmp_path: Path) -> None:
-    parameters = {**PARAMETERS["ppo"], "use_sde": True}
-    folder = trained("ppo", tmp_path / "training", parameters=parameters)
-    with pytest.raises(InvalidConfig, match="only policies of PPO, A2C and SAC can be exported"):
+@pytest.mark.parametrize(
+    ("algorithm", "parameters", "text"),
+    [
+        ("td3", OFF_POLICY, "only policies of PPO, A2C and SAC can be exported, not TD3Policy"),
+        ("sac", {**OFF_POLICY, "use_sde": True}, r"state-dependent exploration \(use_sde\) cannot be exported"),
+    ],
+)
+def test_network_policy__only_known_policies_are_exported(
+    algorithm: str, parameters: dict[str, Any], text: str, tmp_path: Path
+) -> None:
+    folder = trained(algorithm, tmp_path / "training", parameters=parameters)
+    with pytest.raises(InvalidConfig, match=text):
         export_policy(folder)
 
 
