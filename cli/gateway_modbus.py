@@ -11,6 +11,7 @@ from zenostat.cli.console import out
 from zenostat.cli.gateway import manifest_of, serve
 from zenostat.cli.gateway_clients import Allow, ClientsFile, Priority, clients_of, notify
 from zenostat.cli.options import DEFAULTS, BusOptions, Expose, Node, Wait, on_bus
+from zenostat.topics.atomic_file import atomic_file, check_writable
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.plurals import counted
 
@@ -74,9 +75,8 @@ def _write_map(node: str, file: Path, options: BusOptions, *, wait: bool) -> Non
 
     if file.suffix not in (".csv", ".md"):
         raise InvalidConfig(f"--map {file}: expected a file with the suffix .csv or .md")
+    check_writable(file, f"--map {file}")
     registers = RegisterMap(manifest_of(node, options, wait=wait))
-    try:
-        file.write_text(registers.csv() if file.suffix == ".csv" else registers.markdown(), encoding="utf-8")
-    except OSError as error:
-        raise InvalidConfig(f"--map {file}: {error.strerror}") from None
+    with atomic_file(file) as temporary:
+        temporary.write_text(registers.csv() if file.suffix == ".csv" else registers.markdown(), encoding="utf-8")
     out.print(f"map of {node}: {file} ({counted(len(registers.entries), 'entry')})")

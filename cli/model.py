@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, is_dataclass
 from dataclasses import fields as dataclass_fields
 from pathlib import Path
@@ -12,6 +12,7 @@ import typer
 
 from zenostat.cli.console import err, out, print_error
 from zenostat.cli.tables import AsJson, show, show_json
+from zenostat.topics.atomic_file import atomic_file, check_writable
 from zenostat.topics.errors import InvalidConfig, MissingExtra, ModelError, ZenostatError
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.keys import check_name
@@ -84,31 +85,36 @@ def model(
     """
     from zenostat.models import catalog
     from zenostat.models.building.description import describe_model, file_version
-    from zenostat.models.building.model import read_building
 
-    if html is not None and html.suffix.casefold() not in (".html", ".htm"):
-        raise InvalidConfig(f"--html {html}: expected an .html file")
+    if html is not None:
+        _check_output("--html", html, (".html", ".htm"), "an .html file")
     semantic = _SemanticFiles(brick, haystack, node)
     if building.casefold().endswith(_RECORDING):
         semantic.write_recorded(Path(building), is_alone=html is None and probe is None and not as_json)
         return
     entry = catalog.find_building(building)
-    try:
-        read = read_building(entry)
-    except MissingExtra:
-        raise
-    except (InvalidConfig, ModelError) as error:
-        _show_unreadable(entry, error, as_json=as_json)
-        raise typer.Exit(1) from None
+    read = _read(entry, as_json=as_json)
     description = describe_model(read, file_version(entry.path))
     if html is not None:
         _write_page(description, html)
-    _print(description, as_json=as_json, notes_only=bool(semantic))
-    if _count_errors(description.file, description.diagnostics):
+    if not as_json:
+        _print(description, notes_only=bool(semantic))
+    failed = bool(_count_errors(description.file, description.diagnostics))
+    further: dict[str, Any] = {}
+    if not failed:
+        semantic.write(read, building)
+        if probe is not None:
+            further = _probe({"building": building, "weather": probe, "begin": begin, "end": end}, as_json=as_json)
+    if as_json:
+        show_json(_as_json(description) | further)
+    if failed:
         raise typer.Exit(1)
-    semantic.write(read, building)
-    if probe is not None:
-        _probe({"building": building, "weather": probe, "begin": begin, "end": end}, as_json=as_json)
+
+
+def _check_output(option: str, file: Path, suffixes: Collection[str], expected: str) -> None:
+    if file.suffix.casefold() not in suffixes:
+        raise InvalidConfig(f"{option} {file}: expected {expected}")
+    check_writable(file, f"{option} {file}")
 
 
 class _SemanticFiles:
@@ -127,15 +133,13 @@ class _SemanticFiles:
     def __init__(self, brick: Path | None, haystack: Path | None, node: str | None) -> None:
         self._brick, self._haystack, self._node = brick, haystack, node
         if brick is not None:
-            if brick.suffix.casefold() != ".ttl":
-                raise InvalidConfig(f"--brick {brick}: expected a .ttl file")
+            _check_output("--brick", brick, (".ttl",), "a .ttl file")
             with requires_extra("semantic", "the semantic model", "rdflib"):
                 import rdflib  # noqa: F401
         if haystack is not None:
             from zenostat.models.semantic.haystack import CODECS
 
-            if haystack.suffix.casefold() not in CODECS:
-                raise InvalidConfig(f"--haystack {haystack}: expected a .zinc, .trio or .json file")
+            _check_output("--haystack", haystack, CODECS, "a .zinc, .trio or .json file")
         if node is not None and self:
             check_name(node, "the node's name")
 
@@ -182,21 +186,36 @@ class _SemanticFiles:
             from zenostat.models.semantic.graph import semantic_turtle
 
             model = SemanticGraph.parse(semantic_turtle(read, node, points))
-            _write_text(self._brick, model.turtle(), counted(len(model.graph), "statement", ","))
+            self._write_text(self._brick, model.turtle(), counted(len(model.graph), "statement", ","))
         if self._haystack is not None:
             from zenostat.models.semantic.haystack import haystack_entities, haystack_text
 
             entities = haystack_entities(read, node, points)
             text = haystack_text(read.name, entities, self._haystack.suffix.casefold())
-            _write_text(self._haystack, text, counted(len(entities), "entity", ","))
+            self._write_text(self._haystack, text, counted(len(entities), "entity", ","))
+
+    @staticmethod
+    def _write_text(file: Path, text: str, content: str) -> None:
+        _write_text(file, text)
+        err.print(f"semantic model: {file} ({content})")
 
 
-def _write_text(file: Path, text: str, content: str) -> None:
-    from zenostat.topics.atomic_file import atomic_file
-
+def _write_text(file: Path, text: str) -> None:
     with atomic_file(file) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    err.print(f"semantic model: {file} ({content})")
+
+
+def _read(entry: Entry, *, as_json: bool) -> Building:
+    """Read a model; exit after showing its errors if it cannot be read."""
+    from zenostat.models.building.model import read_building
+
+    try:
+        return read_building(entry)
+    except MissingExtra:
+        raise
+    except (InvalidConfig, ModelError) as error:
+        _show_unreadable(entry, error, as_json=as_json)
+        raise typer.Exit(1) from None
 
 
 def _show_unreadable(entry: Entry, error: ZenostatError, *, as_json: bool) -> None:
@@ -225,11 +244,16 @@ def _count_errors(file: str, diagnostics: Sequence[Diagnostic]) -> int:
     return count
 
 
-def _probe(scenario: dict[str, str], *, as_json: bool) -> None:
-    from zenostat.cli.probe import show_report
+def _probe(scenario: dict[str, str], *, as_json: bool) -> dict[str, Any]:
+    """Probe a building; return its fields of the JSON, or show a table."""
+    from zenostat.cli.probe import probe_fields, show_table
     from zenostat.lab.probe import probe
 
-    show_report(probe(scenario), scenario["building"], as_json=as_json)
+    report = probe(scenario)
+    if as_json:
+        return {"probe": probe_fields(report)}
+    show_table(report, scenario["building"])
+    return {}
 
 
 def _as_json(description: ModelDescription) -> dict[str, Any]:
@@ -300,10 +324,8 @@ def _tables(description: ModelDescription) -> Iterator[tuple[str, tuple[str, ...
     yield ("Schedules that nothing uses", ("schedule", "type"), [(each.name, each.kind) for each in unused])
 
 
-def _print(description: ModelDescription, *, as_json: bool, notes_only: bool) -> None:
-    if as_json:
-        show_json(_as_json(description))
-    elif notes_only:
+def _print(description: ModelDescription, *, notes_only: bool) -> None:
+    if notes_only:
         for note in _notes(description):
             err.print(note)
     else:
@@ -346,7 +368,6 @@ def _line(text: str, depth: int) -> None:
 
 
 def _write_page(description: ModelDescription, path: Path) -> None:
-    from zenostat.topics.atomic_file import atomic_file
     from zenostat.views.report.model_page import model_page
 
     trees: Sequence[tuple[str, Sequence[System]]] = (
@@ -361,6 +382,5 @@ def _write_page(description: ModelDescription, path: Path) -> None:
         trees,
         list(_tables(description)),
     )
-    with atomic_file(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    out.print(f"page: {path}")
+    _write_text(path, text)
+    err.print(f"page: {path}")

@@ -77,15 +77,10 @@ def probe(
             scenario, hours=hours, days=days, at=at or (7, 15), points=points or (), low=lows, high=highs, seed=seed,
             progress=watch, **arguments,
         )  # fmt: skip
-    show_report(report, scenario, as_json=as_json)
-
-
-def show_report(report: ProbeReport, title: str, *, as_json: bool) -> None:
-    """Print what responds to each actuator, as JSON or as a table with `title`."""
     if as_json:
-        show_json(_as_json(report))
+        show_json(probe_fields(report))
     else:
-        _show(report, title)
+        show_table(report, scenario)
 
 
 def _read_bounds(option: str, texts: Sequence[str] | None) -> dict[str, float]:
@@ -103,8 +98,8 @@ def _watcher(stack: ExitStack, scenario: str) -> Progress:
     return watch
 
 
-def _as_json(report: ProbeReport) -> dict[str, Any]:
-    """Convert to JSON built-ins."""
+def probe_fields(report: ProbeReport) -> dict[str, Any]:
+    """Return what responds to each actuator as JSON built-ins."""
     manifest = report.manifest
     effects = [asdict(effect) for effect in report.effects]
     for effect in effects:
@@ -120,7 +115,8 @@ def _as_json(report: ProbeReport) -> dict[str, Any]:
     }
 
 
-def _show(report: ProbeReport, scenario: str) -> None:
+def show_table(report: ProbeReport, scenario: str) -> None:
+    """Print what responds to each actuator, with the scenario in the title."""
     numbers = ("first response", "difference", "share of range", "after")
     columns = ("actuator", "held at", numbers[0], "point", *numbers[1:3], "branch", numbers[3])
     title = f"{scenario}: each actuator held for {report.hours:g} h from {counted(len(report.times), 'sample')}"

@@ -49,8 +49,9 @@ def test_model__json_has_the_same(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("no_engine")
 def test_model__page_is_one_file_that_loads_nothing(tmp_path: Path) -> None:
     page = tmp_path / "warehouse.html"
-    result = run_in_process("model", "warehouse", "--html", str(page))
-    assert f"page: {page}" in result.stdout
+    result = run_in_process("model", "warehouse", "--html", str(page), "--json")
+    assert f"page: {page}" in result.stderr
+    assert json.loads(result.stdout)["surfaces"] > 50
     text = page.read_text()
     assert "default-src 'none'" in text.replace("&#x27;", "'")
     assert not re.search(r"(src|href)=[\"']?(?!#|data:)", text)
@@ -170,9 +171,13 @@ def test_model__of_a_recording_writes_its_semantic_model_only() -> None:
         (["--brick", "a.json"], "--brick a.json: expected a .ttl file"),
         (["--haystack", "a.ttl"], "--haystack a.ttl: expected a .zinc, .trio or .json file"),
         (["--brick", "a.ttl", "--node", "a/b"], "the node's name 'a/b' is not valid in a topic"),
+        *(
+            ([option, f"none/a{suffix}"], f"{option} none/a{suffix}: there is no folder ")
+            for option, suffix in (("--html", ".html"), ("--brick", ".ttl"), ("--haystack", ".zinc"))
+        ),
     ],
 )
-def test_model__brick_options_are_checked_first(arguments: list[str], reason: str) -> None:
+def test_model__output_options_are_checked_first(arguments: list[str], reason: str) -> None:
     result = run_in_process("model", "no-such-building", *arguments, columns=300)
     assert result.returncode == 2
     assert reason in plain(result.stderr)
