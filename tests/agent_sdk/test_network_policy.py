@@ -150,7 +150,7 @@ def small(**changes: Any) -> NetworkPolicy:
 
 
 def test_network_policy__observation_of_two_dimensions_is_read_row_by_row() -> None:
-    """As stable-baselines3's `FlattenExtractor` does."""
+    """The order is that of stable-baselines3's `FlattenExtractor`."""
     weights = np.arange(6, dtype=np.float32).reshape(1, 6)
     low, high = np.full((2, 3), -1.0, np.float32), np.full((2, 3), 1.0, np.float32)
     bounds = {"action_low": np.float32([-99.0]), "action_high": np.float32([99.0])}

@@ -163,7 +163,7 @@ def test_datasets__epsilon_is_the_share_of_random_actions(folder: Path) -> None:
 
 
 def test_datasets__random_actions_and_their_moments_are_independent() -> None:
-    """Of 400 first actions, those that are random fill their range, and say nothing of the next moment."""
+    """Random first actions of 400 episodes fill their range, and say nothing of the next moment."""
     with closing(fake()) as env:
         low, high = env.action_space.low, env.action_space.high
         agent = Agent(make_controller(load_controller("fixed"), env.unwrapped.manifest, {}))
