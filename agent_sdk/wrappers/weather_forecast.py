@@ -15,6 +15,7 @@ from zenostat.agent_sdk.wrappers.random_streams import SlotRandomStreams
 from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import WeatherSeries
+from zenostat.topics.weather import WeatherColumn
 
 _WIND_DIRECTION = "wind_direction"
 _BOUNDS = {"relative_humidity": (0.0, 110.0), _WIND_DIRECTION: (0.0, 360.0)} | {
@@ -114,19 +115,6 @@ def error_path(normal: Floats, horizons_h: Floats, model: ErrorModel) -> Floats:
     return path + model.mu * mean_share
 
 
-class _Column(NamedTuple):
-    """One column of an episode's weather: values, and their times in seconds from the episode's start."""
-
-    times_s: Floats
-    values: Floats
-    is_angle: bool
-
-    def at(self, times_s: Floats) -> Floats:
-        """Interpolate linearly between rows; hold the first and the last value outside them."""
-        values: Floats = np.interp(times_s, self.times_s, self.values)
-        return values % 360.0 if self.is_angle else values
-
-
 class _Logic(ObservationLogic):
     def __init__(
         self,
@@ -156,7 +144,7 @@ class _Logic(ObservationLogic):
         self._models: list[dict[str, ErrorModel]] = [{} for _ in range(view.slots)]
         self._bounds = np.array([self._limits(column) for column in columns])
         self._randoms = SlotRandomStreams(view.env, view.wrapper_name, view.slots)
-        self._weather: list[list[_Column]] = [[] for _ in range(view.slots)]
+        self._weather: list[list[WeatherColumn]] = [[] for _ in range(view.slots)]
         self._starts: dict[int, datetime] = {}
         self._timestep = view.manifest.timestep
         low, high = np.repeat(self._bounds, n, axis=0).T
@@ -182,17 +170,13 @@ class _Logic(ObservationLogic):
             self._models[slot] = {name: spec.draw(self._randoms[slot]) for name, spec in self._errors.items()}
             self._starts[slot] = start.infos.time(row) - start.infos.step(row) * self._timestep
 
-    def _read(self, series: WeatherSeries) -> list[_Column]:
+    def _read(self, series: WeatherSeries) -> list[WeatherColumn]:
         rows = np.frombuffer(series.values, "<f8").reshape(-1, len(series.columns))
-        times_s = series.step_s * np.arange(1, len(rows) + 1)
         columns = []
         for name, values in zip(series.columns, rows.T, strict=True):
-            valid = np.isfinite(values)
-            if not valid.any():
+            if not np.isfinite(values).any():
                 raise InvalidConfig(f"{self.view.wrapper_name}: the episode's weather file has no values of {name!r}")
-            is_angle = name == _WIND_DIRECTION
-            continuous = np.unwrap(values[valid], period=360.0) if is_angle else values[valid]
-            columns.append(_Column(times_s[valid], continuous, is_angle))
+            columns.append(WeatherColumn(values, series.step_s, period=360.0 if name == _WIND_DIRECTION else None))
         return columns
 
     def _forecast(self, slot: int, now: datetime) -> Floats:
@@ -202,7 +186,7 @@ class _Logic(ObservationLogic):
             if name in self._errors:
                 normal = self._randoms[slot].standard_normal(len(times_s))
                 forecast[i] += error_path(normal, self._horizons_h, self._models[slot][name])
-                if self._weather[slot][i].is_angle:
+                if name == _WIND_DIRECTION:
                     forecast[i] %= 360.0
         bounded: Floats = np.clip(forecast, self._bounds[:, :1], self._bounds[:, 1:])
         return bounded.reshape(-1)
@@ -223,9 +207,10 @@ class WeatherForecast(BuildingWrapper):
 
     The values are those at `spacing_h`, 2 `spacing_h`, … after the sample, interpolated linearly between the rows of
     the file (over the shorter arc for `wind_direction`), as EnergyPlus does for instantaneous quantities. A row of a
-    radiation is the mean of the hour that ends at its time. Before the first row and after the last, whose time is a
-    week after the episode's end, that row's value is held. A missing value is what EnergyPlus takes in its place, such
-    as 0 for the sun; in a column that EnergyPlus does not use, it is skipped.
+    radiation is the mean of the hour that ends at its time. The first hour begins with the values of hour 24 of that
+    day, as in EnergyPlus. After the last row, whose time is a week after the episode's end, its value is held. A
+    missing value is what EnergyPlus takes in its place, such as 0 for the sun; in a column that EnergyPlus does not
+    use, it is skipped.
 
     With `errors`, a path of errors is added to the forecast. It starts at 0 now and is drawn again at each step, from
     the seed of `reset`. Its standard deviation is sigma * sqrt(horizon / 24 h), so sigma is that of a day ahead; with

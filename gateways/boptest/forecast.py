@@ -101,7 +101,7 @@ class Forecaster:
         return self._schedules.at(name, baseline, times_s)
 
     def _uncertain(self, name: str, level: str, times_s: Floats, horizon_s: float, seed: int | None) -> Floats:
-        """Return a forecast with errors, which are drawn for full hours; values between them are interpolated.
+        """Return a forecast with errors, which are drawn for full hours, and interpolated between them.
 
         As in BOPTEST, the number of hours follows from the horizon alone. After part of an hour, the forecast may end
         after the last one, whose error then holds.
@@ -114,20 +114,18 @@ class Forecaster:
         hour_s = times_s[0] // 3600 * 3600
         key = (level, hour_s, horizon_s, seed)
         drawn = int((horizon_s + 3600) / 3600 + 1)
-        hours_s = hour_s + 3600.0 * np.arange(drawn + 1)
+        hours_s = hour_s + 3600.0 * np.arange(drawn)
         if self._stored.get(name, (None,))[0] != key:
-            truth = self._weather.at(name, hours_s)
             start = None if seed is None else int(seed + times_s[0]) % 2**32
             if name == "TDryBul":
-                hourly = truth[:drawn] - forecast_errors.temperature_errors(level, drawn, start)
+                errors = forecast_errors.temperature_errors(level, drawn, start)
             else:
-                hourly = forecast_errors.solar_forecast(level, truth[:drawn], start)
-            after = truth[drawn:] - (truth[drawn - 1] - hourly[-1])
-            if name == "HGloHor":
-                after = forecast_errors.limited(after, truth[drawn:])
-            self._stored[name] = (key, np.append(hourly, after))
-        values: Floats = np.interp(times_s, hours_s, self._stored[name][1])
-        return values
+                hourly = self._weather.at(name, hours_s)
+                errors = hourly - forecast_errors.solar_forecast(level, hourly, start)
+            self._stored[name] = (key, errors)
+        truth = self._weather.at(name, times_s)
+        values: Floats = truth - np.interp(times_s, hours_s, self._stored[name][1])
+        return forecast_errors.limited(values, truth) if name == "HGloHor" else values
 
 
 def _times(times_s: Floats) -> list[float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from zenostat.gateways.boptest.points import KELVIN
 from zenostat.gateways.boptest.simulation import DAY_S, YEAR_S, wrapped
 from zenostat.topics.arrays import Floats
+from zenostat.topics.weather import WeatherColumn
 
 _COLUMNS = {
     "TDryBul": ("dry_bulb_temperature", 1.0, KELVIN, "K", "Dry bulb temperature"),
@@ -40,6 +42,9 @@ _DERIVED = {
 COLUMNS = tuple(column for column, *_ in _COLUMNS.values())
 """Columns of a weather file that are requested of the node."""
 
+_OF_SUN = ("HGloHor", "HDirNor", "HDifHor")
+"""Points whose rows are means of an hour; as in EnergyPlus, they are 0 while the sun is down."""
+
 _STEFAN_BOLTZMANN = 5.670374419e-8
 
 
@@ -66,25 +71,24 @@ class Weather:
         longitude_deg: float,
         time_zone_h: float,
     ) -> None:
-        self._begin_s, self._interval_s = begin_s, interval_s
+        self._begin_s = begin_s
         self._latitude, self._longitude = np.radians(latitude_deg), np.radians(longitude_deg)
         self._solar_shift_s = (longitude_deg / 15.0 - time_zone_h) * 3600.0
-        self._names = [name for name, (column, *_) in _COLUMNS.items() if not np.isnan(columns[column]).all()]
-        filled = [_filled(columns[_COLUMNS[name][0]]) for name in self._names]
-        scaled = [_COLUMNS[name][1] * row + _COLUMNS[name][2] for name, row in zip(self._names, filled, strict=True)]
-        if {"TDryBul", "relHum", "pAtm"} <= set(self._names):
-            inputs = [scaled[self._names.index(name)] for name in ("TDryBul", "relHum", "pAtm")]
-            self._names.append("TWetBul")
-            scaled.append(wet_bulb(*inputs))
-        if "HHorIR" in self._names:
-            infrared = scaled[self._names.index("HHorIR")]
-            self._names.append("TBlaSky")
-            scaled.append((infrared / _STEFAN_BOLTZMANN) ** 0.25)
-        table = np.array(scaled)
-        self._table: Floats = np.concatenate([table[:, :1], table], axis=1)  # the first hour begins as it ends
-        self._index = {name: index for index, name in enumerate(self._names)}
+        self._columns: dict[str, tuple[WeatherColumn, float, float]] = {}
+        for name, (column, factor, offset, *_) in _COLUMNS.items():
+            if not np.isnan(columns[column]).all():
+                period = 360.0 if name == "winDir" else None
+                read = WeatherColumn(columns[column], interval_s, period=period, is_mean=name in _OF_SUN)
+                self._columns[name] = read, factor, offset
+        rows_s: Floats = begin_s + interval_s * np.arange(1, len(columns["dry_bulb_temperature"]) + 1)
+        derived = {}
+        if {"TDryBul", "relHum", "pAtm"} <= self._columns.keys():
+            derived["TWetBul"] = wet_bulb(*(self._of_file(name, rows_s) for name in ("TDryBul", "relHum", "pAtm")))
+        if "HHorIR" in self._columns:
+            derived["TBlaSky"] = (self._of_file("HHorIR", rows_s) / _STEFAN_BOLTZMANN) ** 0.25
+        self._columns |= {name: (WeatherColumn(rows, interval_s), 1.0, 0.0) for name, rows in derived.items()}
         solar = [name for name in _DERIVED if name not in ("TWetBul", "TBlaSky")]
-        self.points = {name: self._describe(name) for name in (*self._names, *solar)}
+        self.points = {name: self._describe(name) for name in (*self._columns, *solar)}
 
     @staticmethod
     def _describe(name: str) -> tuple[str, str]:
@@ -92,22 +96,28 @@ class Weather:
 
     def at(self, name: str, times_s: Floats) -> Floats:
         """Return a point's values at some times, linear between two rows; after the run period, those of a year ago."""
-        return self._of_file(self._index[name], times_s) if name in self._index else self._solar(times_s)[name]
+        return self._values([name], times_s)[name]
 
     def now(self, time_s: float) -> dict[str, float]:
         """Return all points at one time."""
-        time = np.array(time_s, np.float64)
-        values = self._of_file(slice(None), time).tolist()
-        return dict(zip(self._names, values, strict=True)) | {k: float(v) for k, v in self._solar(time).items()}
+        values = self._values(self.points, np.array(time_s, np.float64))
+        return {name: float(value) for name, value in values.items()}
 
-    def _of_file(self, columns: int | slice, times_s: Floats) -> Floats:
-        """Return columns of the weather file at some times, or at one."""
-        last = self._table.shape[1] - 1
-        position = np.minimum(np.maximum((wrapped(times_s) - self._begin_s) / self._interval_s, 0.0), last)
-        row = np.minimum(position.astype(np.intp), last - 1)
-        before, after = self._table[columns, row], self._table[columns, row + 1]
-        values: Floats = before + (after - before) * (position - row)
+    def _values(self, names: Collection[str], times_s: Floats) -> dict[str, Floats]:
+        """Return points at some times, or at one."""
+        in_period_s = wrapped(times_s)
+        values = {name: self._of_file(name, in_period_s) for name in names if name in self._columns}
+        if len(values) < len(names) or not values.keys().isdisjoint(_OF_SUN):
+            sun = self._solar(times_s)
+            values |= {name: sun[name] for name in names if name in sun}
+            is_day = sun["solAlt"] > 0.0
+            values |= {name: np.where(is_day, values[name], 0.0) for name in _OF_SUN if name in values}
         return values
+
+    def _of_file(self, name: str, times_s: Floats) -> Floats:
+        """Return a point of the weather file at times of the run period."""
+        column, factor, offset = self._columns[name]
+        return factor * column.at(times_s - self._begin_s) + offset
 
     def _solar(self, times_s: Floats) -> dict[str, Floats]:
         """Return the position of the sun.
@@ -140,16 +150,6 @@ class Weather:
             "lat": same * self._latitude,
             "lon": same * self._longitude,
         }
-
-
-def _filled(values: Floats) -> Floats:
-    """Return values whose gaps are filled linearly, and at the ends with the nearest one."""
-    is_missing = np.isnan(values)
-    if not is_missing.any():
-        return values
-    rows = np.arange(len(values))
-    filled: Floats = np.interp(rows, rows[~is_missing], values[~is_missing])
-    return filled
 
 
 def wet_bulb(dry_bulb: Floats, humidity: Floats, pressure: Floats) -> Floats:

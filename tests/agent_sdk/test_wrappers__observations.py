@@ -101,7 +101,8 @@ def test_wrappers__forecast_is_linear_between_rows_and_holds_beyond_them() -> No
     bare: FakeBuilding = env.unwrapped  # type: ignore[assignment]
     rows = bare.series[DRY]
     seen = named(env, observation)
-    assert seen[f"{DRY}_in_0.5h"] == seen[f"{DRY}_in_1h"] == np.float32(rows[0]), "before the first row"
+    assert seen[f"{DRY}_in_0.5h"] == pytest.approx(0.5 * rows[23] + 0.5 * rows[0], rel=1e-6), "begins as the day ends"
+    assert seen[f"{DRY}_in_1h"] == np.float32(rows[0])
     for _ in range(3):
         observation, *_ = env.step(MIDDLE)
     seen = named(env, observation)

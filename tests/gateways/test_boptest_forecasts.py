@@ -78,12 +78,16 @@ def test_boptest_forecasts__peaks_are_means_of_15_minutes():
     assert find_test_periods(load, np.zeros_like(load), 300)["peak_heat_day"] == 200
 
 
-def weather(**columns):
+def weather(latitude_deg=40.0, **columns):
     hours = 24 * 30
     all_columns = {name: np.full(hours, np.nan) for name in COLUMNS} | {
         name: np.resize(np.asarray(values, float), hours) for name, values in columns.items()
     }
-    return Weather(0.0, 3600.0, all_columns, 40.0, -105.0, -7.0)
+    return Weather(0.0, 3600.0, all_columns, latitude_deg, -105.0, -7.0)
+
+
+POLAR_DAY = -80.0
+"""A latitude at which the sun does not set in January."""
 
 
 def test_boptest_forecasts__data_after_the_run_period_are_those_of_its_second_year():
@@ -148,9 +152,8 @@ def test_boptest_forecasts__error_of_the_last_full_hour_holds_after_it(now_s, ho
     """Half an hour from 0:45 on ends at 1:15; BOPTEST draws errors for 0:00 and 1:00."""
     points = {"TDryBul": "temperature_uncertainty", "HGloHor": "solar_uncertainty"}
     levels = {**dict.fromkeys(points.values(), "low"), "seed": 3}
-    series = weather(
-        dry_bulb_temperature=[10.0, 12.0, 9.0, 17.0], global_horizontal_radiation=[600.0, 800.0, 700.0, 900.0]
-    )
+    radiation = [600.0, 800.0, 700.0, 900.0]
+    series = weather(POLAR_DAY, dry_bulb_temperature=[10.0, 12.0, 9.0, 17.0], global_horizontal_radiation=radiation)
     forecaster = Forecaster(series, read_rates(), SimpleNamespace(points={}))
     truth, forecast = (forecaster.forecast([*points], now_s, horizon_s, 300.0, s, None) for s in ({}, levels))
     last_s = 3600.0 * (horizon_s // 3600 + 1)
@@ -163,14 +166,16 @@ def test_boptest_forecasts__error_of_the_last_full_hour_holds_after_it(now_s, ho
 
 
 def test_boptest_forecasts__sunset_after_the_last_full_hour_is_dark():
-    series = weather(global_horizontal_radiation=[600.0, 300.0, 0.0, 0.0, 0.0, 0.0])
+    series = weather(POLAR_DAY, global_horizontal_radiation=[600.0, 300.0, 0.0, 0.0, 0.0, 0.0])
     forecaster = Forecaster(series, read_rates(), SimpleNamespace(points={}))
     scenario = {"solar_uncertainty": "high", "seed": 1}
     truth, forecast = (
         np.array(forecaster.forecast(["HGloHor"], 3540.0, 7140.0, 60.0, s, None)["HGloHor"]) for s in ({}, scenario)
     )
+    assert truth[0] > 300.0
     assert (forecast >= 0.2 * truth - 1e-9).all()
     assert (forecast <= 2.0 * truth + 1e-9).all()
+    assert (truth[91:] == 0.0).all(), "from 2:30 on, the middle of the first hour without sun"
 
 
 @pytest.mark.parametrize(
@@ -197,6 +202,25 @@ def test_boptest_forecasts__weather_is_linear_between_hours_and_gaps_are_filled(
     assert series.at("TDryBul", np.array([3600.0, 5400.0, 3 * 3600.0])) == pytest.approx([273.15, 278.15, 293.15])
     assert series.now(5400.0)["TDryBul"] == pytest.approx(278.15)
     assert [*series.now(5400.0)] == [*series.points]
+
+
+def test_boptest_forecasts__radiation_of_a_row_is_that_of_the_middle_of_its_hour():
+    series = weather(
+        POLAR_DAY, direct_normal_radiation=100.0 * np.arange(24), horizontal_infrared_radiation_intensity=np.arange(24)
+    )
+    hours = 3600.0 * np.array([0.5, 1.0, 1.5, 23.5])
+    assert series.at("HDirNor", hours) == pytest.approx([0.0, 50.0, 100.0, 2300.0])
+    assert series.at("HDirNor", np.array([0.0])) == pytest.approx([0.5 * 2300.0]), "the first day's last hour before it"
+    assert series.at("HHorIR", 3600.0 * np.array([1.0, 2.0])) == pytest.approx([0.0, 1.0]), "no mean in an EPW file"
+
+
+def test_boptest_forecasts__sun_that_is_down_does_not_shine():
+    series = weather(global_horizontal_radiation=[500.0], direct_normal_radiation=[500.0])
+    times_s = np.arange(0.0, DAY_S, 600.0)
+    is_up = series.at("solAlt", times_s) > 0.0
+    assert 0.3 < is_up.mean() < 0.5
+    for name in ("HGloHor", "HDirNor"):
+        assert series.at(name, times_s).tolist() == np.where(is_up, 500.0, 0.0).tolist()
 
 
 def test_boptest_forecasts__sun_is_in_the_south_at_solar_noon_and_as_high_as_geometry_states():

@@ -1,8 +1,9 @@
 """A BOPTEST service in this process, and requests to it as BOPTEST's clients send them."""
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import requests
@@ -54,9 +55,11 @@ class Client:
 
 
 @contextmanager
-def serving(*, single: str | None = None, clients: Clients = UNRESTRICTED, **options: Any) -> Iterator[Client]:
+def serving(
+    *, single: str | None = None, clients: Clients = UNRESTRICTED, files: Sequence[Path] = (), **options: Any
+) -> Iterator[Client]:
     """Run a service on a free port of loopback; in the end all tests are ended."""
-    manager = TestManager(BundledTestCases(), read_rates(), **options)
+    manager = TestManager(BundledTestCases(files), read_rates(), **options)
     service = Service(manager, single=single is not None, clients=clients)
     with BoptestServer(service, "127.0.0.1:0") as server:
         if single is not None:

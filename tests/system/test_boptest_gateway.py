@@ -1,5 +1,6 @@
 """The BOPTEST gateway, by requests as BOPTEST's clients send them; BOPTEST's definitions say what is right."""
 
+import json
 import os
 import re
 import signal
@@ -155,6 +156,40 @@ def test_boptest_gateway__forecast_without_errors_is_what_is_measured_later(test
     assert forecast["Occupancy[core_zn]"][:12] == pytest.approx(results["core_zn_occupants_y"][::4])
     assert forecast["UpperSetp[core_zn]"][:12] == pytest.approx(results[f"{COOLING}_u"][::4])
     assert max(results["core_zn_occupants_y"]) > 0
+
+
+_OUTSIDE = {
+    "TDryBul": "Outdoor Air Drybulb Temperature",
+    "TDewPoi": "Outdoor Air Dewpoint Temperature",
+    "PAtm": "Outdoor Air Barometric Pressure",
+    "WinSpe": "Wind Speed",
+    "WinDir": "Wind Direction",
+    "HHorIR": "Horizontal Infrared Radiation Rate per Area",
+    "HDirNor": "Direct Solar Radiation Rate per Area",
+    "HDifHor": "Diffuse Solar Radiation Rate per Area",
+}
+
+
+@pytest.mark.slow
+def test_boptest_gateway__weather_is_what_energyplus_simulates_from_the_first_timestep_on(tmp_path):
+    file = tmp_path / "outside.yaml"
+    sensors = {f"at_{name}": {"variable": f"Site {text}", "key": "ENVIRONMENT"} for name, text in _OUTSIDE.items()}
+    scenario = {"id": "outside", "building": "5zone", "weather": ["USA_CO_Denver"], "steps_per_hour": 4}
+    scenario |= {"begin": "2017-01-01", "end": "2017-12-31", "sensors": sensors, "meters": {}, "actuators": {}}
+    file.write_text(json.dumps(scenario))
+    begin_s = 100 * DAY_S  # 11 April, on which the wind turns over north
+    with serving(files=[file]) as test:
+        test.select("outside")
+        test.put("initialize", start_time=begin_s, warmup_period=0)
+        test.put("step", step=DAY_S)
+        test.advance()
+        names = [name for point in _OUTSIDE for name in (f"at_{point}_y", f"weaSta_reaWea{point}_y")]
+        results = test.put("results", point_names=names, start_time=begin_s, final_time=begin_s + DAY_S)
+    for point in _OUTSIDE:
+        simulated, served = (np.array(results[name]) for name in (f"at_{point}_y", f"weaSta_reaWea{point}_y"))
+        assert len(simulated) == 97
+        assert np.ptp(simulated) > 0.0
+        assert served == pytest.approx(simulated, rel=1e-9, abs=1e-9), point
 
 
 def test_boptest_gateway__uncertain_forecasts_follow_their_seed_and_are_cleared_by_a_scenario_without_them(test):
