@@ -80,7 +80,8 @@ class Weather:
                 period = 360.0 if name == "winDir" else None
                 read = WeatherColumn(columns[column], interval_s, period=period, is_mean=name in _OF_SUN)
                 self._columns[name] = read, factor, offset
-        rows_s: Floats = begin_s + interval_s * np.arange(1, len(columns["dry_bulb_temperature"]) + 1)
+        count = len(columns["dry_bulb_temperature"])
+        rows_s: Floats = begin_s + interval_s * np.arange(1, count + 1, dtype=np.float64)
         derived = {}
         if {"TDryBul", "relHum", "pAtm"} <= self._columns.keys():
             derived["TWetBul"] = wet_bulb(*(self._of_file(name, rows_s) for name in ("TDryBul", "relHum", "pAtm")))
