@@ -9,7 +9,14 @@ from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.keys import is_own
 from zenostat.topics.messages import Actuator, Aggregation, Manifest, Meter, Sensor
 
-_RATES = {"J": "W", "L": "L/s", "kg": "kg/s", "m3": "m3/s"}
+_RATES = {
+    "J": ("W", 1.0), "kJ": ("kW", 1.0), "MJ": ("MW", 1.0), "GJ": ("MW", 1e-3),
+    "Wh": ("W", 1.0 / 3600.0), "kWh": ("kW", 1.0 / 3600.0), "MWh": ("MW", 1.0 / 3600.0),
+    "kBtu": ("kW", 1.0 / 1055.05585262), "therm": ("kW", 1.0 / 105505.585262),
+    "L": ("L/s", 1.0), "kg": ("kg/s", 1.0), "m3": ("m3/s", 1.0),
+}  # fmt: skip
+"""By unit of an amount: the unit of its rate, and the amount, in its unit, of that rate in a second."""
+
 _NOTES = {
     Aggregation.INSTANT: "",
     Aggregation.MEAN: "mean of the timestep",
@@ -25,7 +32,7 @@ class Reading:
         point: its entry in the manifest.
         index: its index among the values of a sample.
         unit: unit of its readings: the manifest's, but a rate for an amount, such as W for J.
-        divisor: a value of the sample divided by its reading: 1, or step_s for an amount.
+        divisor: a value of the sample divided by its reading: 1, or for an amount that of a rate of 1 in a timestep.
         aggregation: what the readings of several timesteps are together: the last one, their mean, or their sum.
     """
 
@@ -54,16 +61,17 @@ class Reading:
 def readings(manifest: Manifest) -> list[Reading]:
     """Return the sensors, then the meters, in the manifest's order; amounts of a timestep are read as mean rates.
 
-    Amounts are values of meters and of sensors with the aggregation `sum`, in J, L, kg or m3. A device that reads now
-    and then needs their rates: amounts of the timesteps that it does not read would be lost.
+    Amounts are values of meters and of sensors with the aggregation `sum`, in a unit of energy, L, kg or m3. A device
+    that reads now and then needs their rates: amounts of the timesteps that it does not read would be lost.
     """
     return [_reading(point, index, manifest.step_s) for index, point in enumerate(manifest.points)]
 
 
 def _reading(point: Sensor | Meter, index: int, step_s: float) -> Reading:
     aggregation = Aggregation.SUM if isinstance(point, Meter) else point.aggregation
-    if aggregation is Aggregation.SUM and (rate := _RATES.get(point.unit)):
-        return Reading(point, index, rate, step_s, Aggregation.MEAN)
+    if aggregation is Aggregation.SUM and point.unit in _RATES:
+        unit, amount = _RATES[point.unit]
+        return Reading(point, index, unit, amount * step_s, Aggregation.MEAN)
     return Reading(point, index, point.unit, 1.0, aggregation)
 
 

@@ -20,7 +20,11 @@ def manifest(**fields: Any) -> Manifest:
             Sensor(name="flow", unit="m3/h"),
             Sensor(name="sun", unit="J", aggregation=Aggregation.SUM),
         ),
-        "meters": (Meter(name="electricity", unit="J", meter="Electricity:Facility"), Meter(name="heat", unit="kWh")),
+        "meters": (
+            Meter(name="electricity", unit="J", meter="Electricity:Facility"),
+            Meter(name="heat", unit="kWh"),
+            Meter(name="cars", unit="count"),
+        ),
         "actuators": (
             Actuator(name="setpoint", unit="degC", low=15.0, high=22.5, default=26.7),
             Actuator(name="valve", unit="1", low=0.0, high=1.0),
@@ -54,7 +58,7 @@ def test_fmu__points_are_outputs_and_pairs_of_inputs(tmp_path: Path) -> None:
     read_back = read(tmp_path, manifest())
     variables = {variable.name: variable for variable in read_back.modelVariables}
     outputs = {name: variable.unit for name, variable in variables.items() if variable.causality == "output"}
-    assert outputs == {"zone.T": "degC", "flow": "m3/h", "sun": "W", "electricity": "W", "heat": "kWh"}
+    assert outputs == {"zone.T": "degC", "flow": "m3/h", "sun": "W", "electricity": "W", "heat": "kW", "cars": "count"}
     inputs = [name for name, variable in variables.items() if variable.causality == "input"]
     assert inputs == [f"{name}_{part}" for part in ("u", "activate") for name in ("setpoint", "valve", "power")]
     setpoint, power = variables["setpoint_u"], variables["power_u"]
@@ -63,7 +67,8 @@ def test_fmu__points_are_outputs_and_pairs_of_inputs(tmp_path: Path) -> None:
     assert {variables[f"{name}_activate"].start for name in ("setpoint", "valve", "power")} == {"false"}
     assert variables["zone.T"].description == "ZONE <1>, Zone Mean Air Temperature"
     assert variables["electricity"].description == "Electricity:Facility; mean of the communication step"
-    assert variables["heat"].description == "total of the communication step"
+    assert variables["heat"].description == "mean of the communication step"
+    assert variables["cars"].description == "total of the communication step"
 
 
 def test_fmu__outputs_with_names_of_inputs_or_parameters_are_numbered(tmp_path: Path) -> None:
@@ -77,8 +82,8 @@ def test_fmu__outputs_with_names_of_inputs_or_parameters_are_numbered(tmp_path: 
 def test_fmu__references_are_unique_and_outputs_are_the_initial_unknowns(tmp_path: Path) -> None:
     read_back = read(tmp_path, manifest())
     reals = [variable.valueReference for variable in read_back.modelVariables if variable.type == "Real"]
-    assert reals == list(range(8))
-    names = ["zone.T", "flow", "sun", "electricity", "heat"]
+    assert reals == list(range(9))
+    names = ["zone.T", "flow", "sun", "electricity", "heat", "cars"]
     assert [unknown.variable.name for unknown in read_back.outputs] == names
     assert [unknown.variable.name for unknown in read_back.initialUnknowns] == names
 
