@@ -12,9 +12,10 @@ from math import pi
 
 import numpy as np
 
+from zenostat.gateways.points import Reading, readings
 from zenostat.topics.arrays import Floats
 from zenostat.topics.errors import InvalidConfig, repeated
-from zenostat.topics.messages import Actuator, Manifest, Meter, Sensor
+from zenostat.topics.messages import Actuator, Aggregation, Manifest, Meter
 from zenostat.topics.points import bounds
 
 KELVIN = 273.15
@@ -35,6 +36,8 @@ _SI: Mapping[str, tuple[str, float, float]] = {
     "kJ": ("J", 1e3, 0.0),
     "kWh": ("J", 3.6e6, 0.0),
     "kW": ("W", 1e3, 0.0),
+    "MW": ("W", 1e6, 0.0),
+    "L/s": ("m3/s", 1e-3, 0.0),
     "rev/min": ("rad/s", pi / 30.0, 0.0),
 }
 """By unit: the SI unit, and factor and offset from the value to the SI value."""
@@ -68,11 +71,13 @@ class PointTable:
     """
 
     def __init__(self, manifest: Manifest) -> None:
-        scales = [_scale(point, manifest.step_s) for point in manifest.points]
+        measured = readings(manifest)
+        scales = [_SI.get(reading.unit, (reading.unit, 1.0, 0.0)) for reading in measured]
         self._factor, self._offset = np.array([scale[1:] for scale in scales]).reshape(-1, 2).T
+        self._divisor = np.array([reading.divisor for reading in measured])
         self.measurements = tuple(
-            Point(f"{_stem(point.name)}_y", scale[0], _describe_point(point))
-            for point, scale in zip(manifest.points, scales, strict=True)
+            Point(f"{_stem(reading.name)}_y", unit, _describe(reading, unit))
+            for reading, (unit, *_) in zip(measured, scales, strict=True)
         )
         input_scales = [_SI.get(actuator.unit, (actuator.unit, 1.0, 0.0)) for actuator in manifest.actuators]
         self._input_factor, self._input_offset = np.array([s[1:] for s in input_scales]).reshape(-1, 2).T
@@ -99,7 +104,7 @@ class PointTable:
 
     def si_values(self, values: Floats) -> Floats:
         """Convert values of `Manifest.points`, shape (..., points)."""
-        converted: Floats = values * self._factor + self._offset
+        converted: Floats = values / self._divisor * self._factor + self._offset
         return converted
 
     def si_inputs(self, values: Floats) -> Floats:
@@ -117,16 +122,11 @@ def _stem(name: str) -> str:
     return name.replace("_u", "_U")
 
 
-def _scale(point: Sensor | Meter, step_s: float) -> tuple[str, float, float]:
-    """Return SI unit, factor and offset; the energy that a meter counts in a timestep is its mean power."""
-    unit, factor, offset = _SI.get(point.unit, (point.unit, 1.0, 0.0))
-    if isinstance(point, Meter) and unit == "J":
-        return "W", factor / step_s, 0.0
-    return unit, factor, offset
-
-
-def _describe_point(point: Sensor | Meter) -> str:
+def _describe(reading: Reading, unit: str) -> str:
+    point = reading.point
     if isinstance(point, Meter):
-        return f"Mean power of {point.meter or point.name} in the last timestep"
+        is_total = reading.aggregation is Aggregation.SUM
+        quantity = "Total" if is_total else "Mean power" if unit == "W" else "Mean rate"
+        return f"{quantity} of {point.meter or point.name} in the last timestep"
     where = f", {point.key}" if point.key else ""
-    return f"{point.variable or point.name}{where} ({point.aggregation})"
+    return f"{point.variable or point.name}{where} ({reading.aggregation})"

@@ -29,6 +29,26 @@ def test_boptest_points__values_are_converted_to_si_units_and_meters_to_mean_pow
     assert values == pytest.approx([293.15, 0.5, np.pi, 400.0, 2.0, 900.0 / step_s])
 
 
+def test_boptest_points__amounts_of_a_timestep_are_mean_rates():
+    meters = (
+        Meter(name="water", unit="m3", meter="Water:Facility"),
+        Meter(name="heat", unit="kWh"),
+        Meter(name="rain", unit="L"),
+        Meter(name="cars", unit="count"),
+    )
+    gain = Sensor(name="gain", unit="J", variable="Zone Total Internal Total Heating Energy", aggregation="sum")
+    points, step_s = table(sensors=(gain,), meters=meters)
+    assert [(point.unit, point.description) for point in points.measurements] == [
+        ("W", "Zone Total Internal Total Heating Energy (mean)"),
+        ("m3/s", "Mean rate of Water:Facility in the last timestep"),
+        ("W", "Mean power of heat in the last timestep"),
+        ("m3/s", "Mean rate of rain in the last timestep"),
+        ("1", "Total of cars in the last timestep"),
+    ]
+    values = points.si_values(np.array([step_s, 2.0 * step_s, 0.5, 3e3 * step_s, 7.0]))
+    assert values == pytest.approx([1.0, 2.0, 0.5 * 3.6e6 / step_s, 3.0, 7.0])
+
+
 def test_boptest_points__inputs_have_bounds_and_convert_back():
     bounded = Actuator(name="setpoint", unit="degC", low=15.0, high=30.0)
     points, _ = table(actuators=(bounded, Actuator(name="valve", unit="1")))
