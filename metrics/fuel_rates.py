@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from numbers import Real
@@ -58,15 +58,19 @@ _YEAR = [datetime(2012, 1, 1) + timedelta(hours=hour) for hour in range(LEAP_HOU
 """The hours of a leap year, with all weekdays of each month."""
 
 
-def read_prices(prices: Mapping[str, Rate] | None) -> dict[str, FuelRate]:
+def read_prices(prices: Mapping[str, Rate] | None, *, scenarios: Collection[str] = ()) -> dict[str, FuelRate]:
     """Read prices by fuel; a number, a list and a CSV file are in currency per kWh.
 
     A price may be negative, as on power exchanges.
 
+    Args:
+        prices: by fuel, or by price scenario.
+        scenarios: names of price scenarios, which `prices` may have as well.
+
     Raises:
         InvalidConfig: unknown fuel, not a price per energy, two currencies, not finite, or not a year of hours.
     """
-    rates = _read(prices or {}, "prices", "1/kWh", per_kwh)
+    rates = _read(prices or {}, "prices", "1/kWh", per_kwh, scenarios)
     currencies = {currency(rate.series.unit): fuel for fuel, rate in rates.items()}
     currencies.pop("", None)
     if len(currencies) > 1:
@@ -88,14 +92,17 @@ def read_emissions(emissions: Mapping[str, Rate] | None) -> dict[str, FuelRate]:
     return rates
 
 
-def _read(rates: Mapping[str, Rate], argument: str, unit: str, factor_of: Any) -> dict[str, FuelRate]:
+def _read(
+    rates: Mapping[str, Rate], argument: str, unit: str, factor_of: Any, scenarios: Collection[str] = ()
+) -> dict[str, FuelRate]:
     if not isinstance(rates, Mapping):
         raise InvalidConfig(f"{argument}: a mapping from fuels to numbers or time series expected, got {rates!r}")
     result: dict[str, FuelRate] = {}
     for name, rate in rates.items():
         fuel = _ALIASES.get(str(name), str(name))
-        if fuel not in FUELS:
-            raise InvalidConfig(f"{argument}: no fuel {name!r}; {did_you_mean(str(name), [*FUELS, *_ALIASES])}")
+        if fuel not in FUELS and fuel not in scenarios:
+            known = [*scenarios, *FUELS, *_ALIASES]
+            raise InvalidConfig(f"{argument}: no fuel {name!r}; {did_you_mean(str(name), known)}")
         if fuel in result:
             raise InvalidConfig(f"{argument}: {fuel} is given twice")
         if isinstance(rate, FuelRate):

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from zenostat.gateways.boptest.simulation import moment
 from zenostat.metrics.fuel_rates import FuelRate, Rate, read_emissions, read_prices
 from zenostat.topics.arrays import Floats
-from zenostat.topics.errors import InvalidConfig, did_you_mean
 
 ELECTRICITY_PRICES = {"constant": "Constant", "dynamic": "Dynamic", "highly_dynamic": "HighlyDynamic"}
 """The price scenarios, with the end of their points' names."""
@@ -59,14 +59,27 @@ energy: assumed.
 """
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Rates:
     """Prices and emission factors by fuel, and the prices of electricity by scenario."""
 
     electricity: Mapping[str, FuelRate]
     prices: Mapping[str, FuelRate]
     emissions: Mapping[str, FuelRate]
-    points: Mapping[str, tuple[FuelRate, str, str]] = field(default_factory=dict)
+
+    @cached_property
+    def points(self) -> Mapping[str, tuple[FuelRate, str, str]]:
+        """Return the forecast points by name: rate, unit and description."""
+        points: dict[str, tuple[FuelRate, str, str]] = {}
+        for name, suffix in ELECTRICITY_PRICES.items():
+            text = f"Price of electricity, {name.replace('_', ' ')}"
+            points[f"PriceElectricPower{suffix}"] = (self.electricity[name], "($/Euro)/kWh", text)
+        for fuel, suffix in _FUEL_POINTS.items():
+            points[f"Price{suffix}"] = (self.prices[fuel], "($/Euro)/kWh", f"Price of {fuel.replace('_', ' ')}")
+        for fuel, suffix in {"electricity": "ElectricPower", **_FUEL_POINTS}.items():
+            text = f"Emission factor of {fuel.replace('_', ' ')}"
+            points[f"Emissions{suffix}"] = (self.emissions[fuel], "kgCO2/kWh", text)
+        return points
 
     def prices_of(self, scenario: str) -> dict[str, FuelRate]:
         """Return the prices of all fuels in a price scenario."""
@@ -81,43 +94,15 @@ def read_rates(prices: Mapping[str, Rate] | None = None, emissions: Mapping[str,
         emissions: by fuel.
 
     Raises:
-        InvalidConfig: unknown name, or not a price or factor.
+        InvalidConfig: unknown name, not a price or factor, or prices in two currencies.
     """
     named = dict(prices or {})
-    electricity = dict(DEFAULT_ELECTRICITY)
     if "electricity" in named:
-        electricity = dict.fromkeys(electricity, named.pop("electricity"))
-    for name in [name for name in named if name in electricity]:
-        electricity[name] = named.pop(name)
-    for name in named:
-        if name.endswith(("dynamic", "constant")):
-            raise InvalidConfig(f"prices: {did_you_mean(name, electricity)}")
-    own_prices, own_emissions = read_prices(named), read_emissions(emissions)
-    series = {name: _electricity_price(name, rate) for name, rate in electricity.items()}
-    rates = Rates(
-        series, {**read_prices(DEFAULT_PRICES), **own_prices}, {**read_emissions(DEFAULT_EMISSIONS), **own_emissions}
-    )
-    return Rates(rates.electricity, rates.prices, rates.emissions, _points(rates))
-
-
-def _electricity_price(scenario: str, rate: Rate) -> FuelRate:
-    try:
-        return read_prices({"electricity": rate})["electricity"]
-    except InvalidConfig as error:
-        raise InvalidConfig(str(error).replace("prices: electricity", f"prices: {scenario}", 1)) from None
-
-
-def _points(rates: Rates) -> dict[str, tuple[FuelRate, str, str]]:
-    points: dict[str, tuple[FuelRate, str, str]] = {}
-    for name, suffix in ELECTRICITY_PRICES.items():
-        text = f"Price of electricity, {name.replace('_', ' ')}"
-        points[f"PriceElectricPower{suffix}"] = (rates.electricity[name], "($/Euro)/kWh", text)
-    for fuel, suffix in _FUEL_POINTS.items():
-        points[f"Price{suffix}"] = (rates.prices[fuel], "($/Euro)/kWh", f"Price of {fuel.replace('_', ' ')}")
-    for fuel, suffix in {"electricity": "ElectricPower", **_FUEL_POINTS}.items():
-        text = f"Emission factor of {fuel.replace('_', ' ')}"
-        points[f"Emissions{suffix}"] = (rates.emissions[fuel], "kgCO2/kWh", text)
-    return points
+        named = {**dict.fromkeys(ELECTRICITY_PRICES, named.pop("electricity")), **named}
+    defaults = read_prices({**DEFAULT_ELECTRICITY, **DEFAULT_PRICES}, scenarios=ELECTRICITY_PRICES)
+    of_fuels = defaults | read_prices(named, scenarios=ELECTRICITY_PRICES)
+    electricity = {scenario: of_fuels.pop(scenario) for scenario in ELECTRICITY_PRICES}
+    return Rates(electricity, of_fuels, read_emissions(DEFAULT_EMISSIONS) | read_emissions(emissions))
 
 
 def rate_at(rate: FuelRate, times_s: Floats) -> Floats:

@@ -263,3 +263,14 @@ def test_boptest_forecasts__prices_can_be_set_by_scenario_or_all_at_once():
         read_rates({"hihgly_dynamic": 0.5})
     with pytest.raises(InvalidConfig, match="no fuel"):
         read_rates({"gaz": 0.5})
+    for wrong, nearest in (("dynamc", "dynamic"), ("Dynamic", "dynamic"), ("highly-dynamic", "highly_dynamic")):
+        with pytest.raises(InvalidConfig, match=f"no fuel '{wrong}'; did you mean '{nearest}'"):
+            read_rates({wrong: 0.5})
+
+
+@pytest.mark.parametrize("names", [("constant", "gas"), ("electricity", "gas"), ("constant", "dynamic")])
+def test_boptest_forecasts__prices_in_two_currencies_are_refused(names):
+    euro, dollar = names
+    prices = {euro: {"value": 300, "unit": "EUR/MWh"}, dollar: {"value": 0.05, "unit": "USD/kWh"}}
+    with pytest.raises(InvalidConfig, match=r"in EUR and .* in USD; prices in one currency expected"):
+        read_rates(prices)
