@@ -43,7 +43,11 @@ COLUMNS = tuple(column for column, *_ in _COLUMNS.values())
 """Columns of a weather file that are requested of the node."""
 
 _OF_SUN = ("HGloHor", "HDirNor", "HDifHor")
-"""Points whose rows are means of an hour; as in EnergyPlus, they are 0 while the sun is down."""
+"""Points whose rows are means of their interval; as in EnergyPlus, they are 0 while the sun is down.
+
+EnergyPlus interpolates them between the middles of hours, but takes the rows of a file with shorter intervals, which
+are the timesteps, as they are.
+"""
 
 _STEFAN_BOLTZMANN = 5.670374419e-8
 
@@ -78,7 +82,8 @@ class Weather:
         for name, (column, factor, offset, *_) in _COLUMNS.items():
             if not np.isnan(columns[column]).all():
                 period = 360.0 if name == "winDir" else None
-                read = WeatherColumn(columns[column], interval_s, period=period, is_mean=name in _OF_SUN)
+                is_mean = name in _OF_SUN and interval_s == 3600.0
+                read = WeatherColumn(columns[column], interval_s, period=period, is_mean=is_mean)
                 self._columns[name] = read, factor, offset
         count = len(columns["dry_bulb_temperature"])
         rows_s: Floats = begin_s + interval_s * np.arange(1, count + 1, dtype=np.float64)

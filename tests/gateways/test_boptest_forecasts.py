@@ -78,12 +78,12 @@ def test_boptest_forecasts__peaks_are_means_of_15_minutes():
     assert find_test_periods(load, np.zeros_like(load), 300)["peak_heat_day"] == 200
 
 
-def weather(latitude_deg=40.0, **columns):
-    hours = 24 * 30
-    all_columns = {name: np.full(hours, np.nan) for name in COLUMNS} | {
-        name: np.resize(np.asarray(values, float), hours) for name, values in columns.items()
+def weather(latitude_deg=40.0, interval_s=3600.0, **columns):
+    rows = int(30 * DAY_S / interval_s)
+    all_columns = {name: np.full(rows, np.nan) for name in COLUMNS} | {
+        name: np.resize(np.asarray(values, float), rows) for name, values in columns.items()
     }
-    return Weather(0.0, 3600.0, all_columns, latitude_deg, -105.0, -7.0)
+    return Weather(0.0, interval_s, all_columns, latitude_deg, -105.0, -7.0)
 
 
 POLAR_DAY = -80.0
@@ -212,6 +212,8 @@ def test_boptest_forecasts__radiation_of_a_row_is_that_of_the_middle_of_its_hour
     assert series.at("HDirNor", hours) == pytest.approx([0.0, 50.0, 100.0, 2300.0])
     assert series.at("HDirNor", np.array([0.0])) == pytest.approx([0.5 * 2300.0]), "the first day's last hour before it"
     assert series.at("HHorIR", 3600.0 * np.array([1.0, 2.0])) == pytest.approx([0.0, 1.0]), "no mean in an EPW file"
+    quarters = weather(POLAR_DAY, 900.0, direct_normal_radiation=np.arange(96))
+    assert quarters.at("HDirNor", 900.0 * np.array([1.0, 2.0])).tolist() == [0.0, 1.0], "each is that of its timestep"
 
 
 def test_boptest_forecasts__sun_that_is_down_does_not_shine():
