@@ -98,7 +98,7 @@ def draw_training(folders: list[Path], path: Path) -> None:
     for place, (name, value) in enumerate(lines.items()):
         axes.axhline(value, color=theme.LIGHT["muted"], linestyle=theme.series_dashes(place + 2), label=name)
     axes.set(title="Evaluations during training", xlabel="years of training", ylabel="mean reward")
-    axes.legend(ncols=5)
+    axes.legend(ncols=5, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
     save(figure, path)
 
 
