@@ -1,5 +1,6 @@
 """Cores of an engine and its node while other programs need them: real processes, real scheduling."""
 
+import multiprocessing
 import os
 import subprocess
 import sys
@@ -166,6 +167,14 @@ def test_threads_of_a_node_that_has_ended__stay() -> None:
 
 @pytest.mark.process
 def test_bus_threads_of_an_environment__follow_its_local_node() -> None:
+    """Zenoh starts most threads with the first session of a process, and later ones share them."""
+    process = multiprocessing.get_context("spawn").Process(target=follow_a_local_node)
+    process.start()
+    process.join(120)
+    assert process.exitcode == 0
+
+
+def follow_a_local_node() -> None:
     before = own_threads()
     arguments: dict[str, Any] = {"begin": "07-01", "end": "07-31", "steps_per_hour": 4, "affinity": "apart"}
     with closing(gym.make("zenostat/ref-small-office-USA_CO_Denver-continuous-v1", **arguments)) as env:
