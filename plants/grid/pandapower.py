@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from zenostat.plants.grid.schema import connected_buses
+from zenostat.plants.grid.schema import bus_clocks
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.keys import safe_name
@@ -214,12 +214,12 @@ def _pi_model(trafo: Any) -> dict[str, float]:
 def _connected(fields: dict[str, Any]) -> dict[str, Any]:
     """Return the fields without what is not connected with the source."""
     branches = [
-        (part["from"], part["to"])
+        (part["from"], part["to"], 0)
         for kind in ("lines", "transformers")
         for part in fields[kind].values()
         if not part.get("open_end")
     ]
-    buses = connected_buses(fields["source"]["bus"], branches)
+    buses = bus_clocks(fields["source"]["bus"], branches)
     is_used: Callable[[dict[str, Any]], bool] = lambda part: all(  # noqa: E731
         part[end] in buses for end in ("bus", "from", "to") if end in part
     )

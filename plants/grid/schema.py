@@ -347,46 +347,49 @@ class Grid(_Part):
                 yield f"transformers.{name}: {text} of short-circuit voltage allow at most {limit_w:g}"
 
     def _errors_of_islands(self) -> Iterator[str]:
-        branches = [(line.start, line.end) for line in self.lines.values() if line.open_end is None]
-        branches += [(transformer.start, transformer.end) for transformer in self.transformers.values()]
-        if isolated := sorted(self.buses.keys() - connected_buses(self.source.bus, branches)):
+        if isolated := sorted(self.buses.keys() - self._bus_clocks()):
             yield f"no line or transformer connects the bus {', '.join(isolated)} with the source"
 
     def _errors_of_clocks(self) -> Iterator[str]:
         """Yield an error for each branch between buses whose phases differ by the clock numbers on another path."""
-        closed: list[tuple[str, str, Line | Transformer, int]] = [
-            ("lines", name, line, 0) for name, line in self.lines.items() if line.open_end is None
-        ]
-        pending = [*closed, *(("transformers", name, part, part.clock) for name, part in self.transformers.items())]
-        clocks = {self.source.bus: 0}
-        while pending:
-            left = []
-            for kind, name, part, clock in pending:
-                if part.start in clocks and part.end in clocks:
-                    expected = (clocks[part.end] - clocks[part.start]) % 12
-                    if clock % 12 != expected:
-                        text = "short circuit: with the other clock numbers, its buses are"
-                        yield f"{kind}.{name}: {text} {30 * ((expected - clock) % 12)} degrees apart"
-                elif part.start in clocks:
-                    clocks[part.end] = clocks[part.start] + clock
-                elif part.end in clocks:
-                    clocks[part.start] = clocks[part.end] - clock
-                else:
-                    left.append((kind, name, part, clock))
-            pending = left
+        clocks = self._bus_clocks()
+        for kind, name, part, clock in self._closed_branches():
+            expected = (clocks[part.end] - clocks[part.start]) % 12
+            if clock % 12 != expected:
+                text = "short circuit: with the other clock numbers, its buses are"
+                yield f"{kind}.{name}: {text} {30 * ((expected - clock) % 12)} degrees apart"
+
+    def _closed_branches(self) -> Iterator[tuple[str, str, Line | Transformer, int]]:
+        """Yield kind, name, content and clock number of each line without an open end and each transformer."""
+        for name, line in self.lines.items():
+            if line.open_end is None:
+                yield "lines", name, line, 0
+        for name, transformer in self.transformers.items():
+            yield "transformers", name, transformer, transformer.clock
+
+    def _bus_clocks(self) -> dict[str, int]:
+        return bus_clocks(
+            self.source.bus, ((part.start, part.end, clock) for *_, part, clock in self._closed_branches())
+        )
 
 
-def connected_buses(source: str, branches: Iterable[tuple[str, str]]) -> set[str]:
-    """Return the buses that branches, each given as its two buses, connect with the source."""
-    neighbors: dict[str, set[str]] = {}
-    for start, end in branches:
-        neighbors.setdefault(start, set()).add(end)
-        neighbors.setdefault(end, set()).add(start)
-    connected: set[str] = set()
+def bus_clocks(source: str, branches: Iterable[tuple[str, str, int]]) -> dict[str, int]:
+    """Return the buses that are connected with the source, with the sum of the clock numbers on a path to each.
+
+    Args:
+        source: the bus of the source.
+        branches: each given as its two buses and its clock number, which is 0 for a line.
+    """
+    neighbors: dict[str, list[tuple[str, int]]] = {}
+    for start, end, clock in branches:
+        neighbors.setdefault(start, []).append((end, clock))
+        neighbors.setdefault(end, []).append((start, -clock))
+    clocks = {source: 0}
     pending = [source]
     while pending:
         bus = pending.pop()
-        if bus not in connected:
-            connected.add(bus)
-            pending += neighbors.get(bus, ())
-    return connected
+        for neighbor, clock in neighbors.get(bus, ()):
+            if neighbor not in clocks:
+                clocks[neighbor] = clocks[bus] + clock
+                pending.append(neighbor)
+    return clocks
