@@ -186,23 +186,22 @@ class _SemanticFiles:
             from zenostat.models.semantic.graph import semantic_turtle
 
             model = SemanticGraph.parse(semantic_turtle(read, node, points))
-            self._write_text(self._brick, model.turtle(), counted(len(model.graph), "statement", ","))
+            content = counted(len(model.graph), "statement", ",")
+            _write_text(self._brick, model.turtle(), f"semantic model: {self._brick} ({content})")
         if self._haystack is not None:
             from zenostat.models.semantic.haystack import haystack_entities, haystack_text
 
             entities = haystack_entities(read, node, points)
             text = haystack_text(read.name, entities, self._haystack.suffix.casefold())
-            self._write_text(self._haystack, text, counted(len(entities), "entity", ","))
-
-    @staticmethod
-    def _write_text(file: Path, text: str, content: str) -> None:
-        _write_text(file, text)
-        err.print(f"semantic model: {file} ({content})")
+            content = counted(len(entities), "entity", ",")
+            _write_text(self._haystack, text, f"semantic model: {self._haystack} ({content})")
 
 
-def _write_text(file: Path, text: str) -> None:
+def _write_text(file: Path, text: str, message: str) -> None:
+    """Write a file, and report it."""
     with atomic_file(file) as temporary:
         temporary.write_text(text, encoding="utf-8")
+    err.print(message)
 
 
 def _read(entry: Entry, *, as_json: bool) -> Building:
@@ -382,5 +381,4 @@ def _write_page(description: ModelDescription, path: Path) -> None:
         trees,
         list(_tables(description)),
     )
-    _write_text(path, text)
-    err.print(f"page: {path}")
+    _write_text(path, text, f"page: {path}")
