@@ -8,14 +8,13 @@ from math import isnan
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.keys import is_own
 from zenostat.topics.messages import Actuator, Aggregation, Manifest, Meter, Sensor
+from zenostat.topics.units import conversion
 
 _RATES = {
-    "J": ("W", 1.0), "kJ": ("kW", 1.0), "MJ": ("MW", 1.0), "GJ": ("MW", 1e-3),
-    "Wh": ("W", 1.0 / 3600.0), "kWh": ("kW", 1.0 / 3600.0), "MWh": ("MW", 1.0 / 3600.0),
-    "kBtu": ("kW", 1.0 / 1055.05585262), "therm": ("kW", 1.0 / 105505.585262),
-    "L": ("L/s", 1.0), "kg": ("kg/s", 1.0), "m3": ("m3/s", 1.0),
+    "J": "W", "kJ": "kW", "MJ": "MW", "GJ": "MW", "Wh": "W", "kWh": "kW", "MWh": "MW", "kBtu": "kW", "therm": "kW",
+    "L": "L/s", "kg": "kg/s", "m3": "m3/s",
 }  # fmt: skip
-"""By unit of an amount: the unit of its rate, and the amount, in its unit, of that rate in a second."""
+"""By unit of an amount: the unit of its rate."""
 
 _NOTES = {
     Aggregation.INSTANT: "",
@@ -70,7 +69,9 @@ def readings(manifest: Manifest) -> list[Reading]:
 def _reading(point: Sensor | Meter, index: int, step_s: float) -> Reading:
     aggregation = Aggregation.SUM if isinstance(point, Meter) else point.aggregation
     if aggregation is Aggregation.SUM and point.unit in _RATES:
-        unit, amount = _RATES[point.unit]
+        unit = _RATES[point.unit]
+        power, energy = conversion(unit, "W"), conversion(point.unit, "J")
+        amount = power[0] / energy[0] if power and energy else 1.0  # of that rate in a second
         return Reading(point, index, unit, amount * step_s, Aggregation.MEAN)
     return Reading(point, index, point.unit, 1.0, aggregation)
 
