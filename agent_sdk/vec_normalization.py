@@ -47,9 +47,11 @@ def load_normalization(model: BaseAlgorithm, path: Path) -> VecNormalize | None:
         raise InvalidConfig(f"{file} is not a saved VecNormalize: {type(error).__name__}: {error}") from error
     if not isinstance(normalization, VecNormalize):
         raise InvalidConfig(f"{file} is not a saved VecNormalize but a {type(normalization).__name__}")
-    shape = getattr(normalization.obs_rms, "mean", np.empty(())).shape if normalization.norm_obs else None
-    if normalization.norm_obs and shape != model.observation_space.shape:
-        raise InvalidConfig(f"{file} normalizes observations of shape {shape}; {path} has {model.observation_space}")
+    if normalization.norm_obs:
+        shape = getattr(normalization.obs_rms, "mean", np.empty(())).shape
+        if shape != model.observation_space.shape:
+            space = model.observation_space
+            raise InvalidConfig(f"{file} normalizes observations of shape {shape}; {path} has {space}")
     return normalization
 
 
