@@ -14,6 +14,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, suppress
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -211,10 +212,7 @@ def open_session(
             raise
         raise BusError(text) from None
     if identity is not None and identity.warning:
-        if warn is None:
-            warnings.warn(identity.warning, stacklevel=2)
-        else:
-            warn(identity.warning)
+        (warn or partial(warnings.warn, stacklevel=2))(identity.warning)
     return session
 
 
